@@ -1,0 +1,62 @@
+"""The errors of this package, all below one root.
+
+SynthError
+ ├─ ModelError         the data is not a model: NaN, wrong shape, wrong timebase
+ ├─ AssumptionError    the model is sound but no controller can exist: names the assumption
+ ├─ InfeasibleError    the asked-for level cannot be reached: carries the best level
+ ├─ NumericalError     every route failed: carries the statuses of the solvers
+ └─ VerificationError  a controller was found and the independent judge rejected it
+"""
+
+
+class SynthError(Exception):
+    """Root of all errors raised by `synth`."""
+
+
+class ModelError(SynthError, ValueError):
+    """The data given is not a valid model; the message names the field, the value and the remedy."""
+
+
+class AssumptionError(SynthError):
+    """No controller can exist for this model.
+
+    Attributes
+    ----------
+    assumption : str, for example ``"(A, B2) stabilisable"``
+    modes : tuple of complex, the eigenvalues at which it fails
+    """
+
+    def __init__(self, assumption: str, message: str, modes: tuple[complex, ...] = ()):
+        super().__init__(message)
+        self.assumption = assumption
+        self.modes = modes
+
+
+class InfeasibleError(SynthError):
+    """The requested performance level cannot be reached.
+
+    Attributes
+    ----------
+    best : float, the lowest level that was reached
+    """
+
+    def __init__(self, message: str, best: float):
+        super().__init__(message)
+        self.best = best
+
+
+class NumericalError(SynthError):
+    """Every route to a solution failed.
+
+    Attributes
+    ----------
+    statuses : dict of str to str, what each route reported
+    """
+
+    def __init__(self, message: str, statuses: dict[str, str] | None = None):
+        super().__init__(message)
+        self.statuses = dict(statuses or {})
+
+
+class VerificationError(SynthError):
+    """A controller was computed but failed its independent verification."""
