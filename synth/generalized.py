@@ -1,0 +1,134 @@
+"""The generalised plant of H-infinity theory: nine matrices with named channels.
+
+    x+ = A  x + B1  w + B2  u        w exogenous inputs, u actuator inputs
+    z  = C1 x + D11 w + D12 u        z regulated outputs, y sensed outputs
+    y  = C2 x + D21 w + D22 u        closed by u = K y (positive feedback)
+
+Reference: Pecorilla and Stesina (2024), doi 10.1002/rnc.7119, equations (22) to (27); the signs of (26) are
+those of (27).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from synth.errors import ModelError
+from synth.statespace import StateSpace, as_matrix, as_timebase, lft
+
+
+@dataclass(frozen=True)
+class GeneralizedPlant:
+    """Nine matrices and a timebase; checked when made.
+
+    Channel names are optional: empty tuples are filled with w0, w1, ..., z0, ..., u0, ..., y0, ...
+
+    Raises
+    ------
+    ModelError : shapes do not fit, an entry is not finite, a channel name is missing or doubled.
+    """
+
+    A: np.ndarray  # (n, n)
+    B1: np.ndarray  # (n, nw)
+    B2: np.ndarray  # (n, nu)
+    C1: np.ndarray  # (nz, n)
+    D11: np.ndarray  # (nz, nw)
+    D12: np.ndarray  # (nz, nu)
+    C2: np.ndarray  # (ny, n)
+    D21: np.ndarray  # (ny, nw)
+    D22: np.ndarray  # (ny, nu)
+    dt: float = 0.0  # s, 0 for continuous time
+    w: tuple[str, ...] = ()  # (nw) names
+    u: tuple[str, ...] = ()  # (nu) names
+    z: tuple[str, ...] = ()  # (nz) names
+    y: tuple[str, ...] = ()  # (ny) names
+
+    def __post_init__(self):
+        D11, D22 = as_matrix("D11", self.D11), as_matrix("D22", self.D22)
+        (nz, nw), (ny, nu) = D11.shape, D22.shape
+        if 0 in (nz, nw, ny, nu):
+            raise ModelError(
+                f"the plant has nw, nu, nz, ny = {nw}, {nu}, {nz}, {ny}; every channel needs at least one signal"
+            )
+        n = np.shape(self.A)[0] if np.size(self.A) else 0
+        shapes = {"A": (n, n), "B1": (n, nw), "B2": (n, nu), "C1": (nz, n), "D11": (nz, nw)}
+        shapes |= {"D12": (nz, nu), "C2": (ny, n), "D21": (ny, nw), "D22": (ny, nu)}
+        for name, shape in shapes.items():
+            M = np.zeros(shape) if 0 in shape else as_matrix(name, getattr(self, name), shape)
+            M.flags.writeable = False
+            object.__setattr__(self, name, M)
+        object.__setattr__(self, "dt", as_timebase(self.dt))
+        for channel, size in {"w": nw, "u": nu, "z": nz, "y": ny}.items():
+            names = tuple(getattr(self, channel)) or tuple(f"{channel}{i}" for i in range(size))
+            if len(names) != size or len(set(names)) != size:
+                raise ModelError(f"channel {channel} has names {names}; give {size} different ones")
+            object.__setattr__(self, channel, names)
+
+    @property
+    def sizes(self) -> tuple[int, int, int, int, int]:
+        """(n, nw, nu, nz, ny)."""
+        return (self.A.shape[0], self.B1.shape[1], self.B2.shape[1], self.C1.shape[0], self.C2.shape[0])
+
+    @property
+    def system(self) -> StateSpace:
+        """The plant as one system from (w, u) to (z, y)."""
+        D = np.block([[self.D11, self.D12], [self.D21, self.D22]])
+        return StateSpace(self.A, np.hstack([self.B1, self.B2]), np.vstack([self.C1, self.C2]), D, self.dt)
+
+    @classmethod
+    def partition(cls, system: Any, nmeas: int, ncon: int) -> GeneralizedPlant:
+        """Split a system whose last `nmeas` outputs are y and last `ncon` inputs are u."""
+        G = StateSpace.of(system)
+        for name, value, total in (("nmeas", nmeas, G.ny), ("ncon", ncon, G.nu)):
+            if not isinstance(value, int | np.integer) or not 0 < value < total:
+                raise ModelError(f"{name} is {value!r}; pass an integer from 1 to {total - 1} (the system has {total})")
+        m, p = G.nu - int(ncon), G.ny - int(nmeas)
+        C, D = (G.C[:p], G.C[p:]), (G.D[:p], G.D[p:])
+        return cls(
+            A=G.A, B1=G.B[:, :m], B2=G.B[:, m:],
+            C1=C[0], D11=D[0][:, :m], D12=D[0][:, m:],
+            C2=C[1], D21=D[1][:, :m], D22=D[1][:, m:], dt=G.dt,
+        )  # fmt: skip
+
+    @classmethod
+    def tracking(cls, P0: Any, *, Wproc, Wdist, Werr, Wact, Wr, u=(), y=()) -> GeneralizedPlant:
+        """Tracking framework with constant weights, seed equation (27): y = Wr r - P0 (Wp n + u) - Wd d.
+
+        Parameters
+        ----------
+        P0 : nominal plant with m inputs and q outputs: StateSpace, control.StateSpace or (A, B, C, D, dt)
+        Wproc : (m, m) process noise; Wdist : (q, q) sensor noise; Werr : (q, q) tracking error
+        Wact : (m, m) control effort; Wr : (q, q) reference
+        u, y : names of the m inputs and q outputs of P0, optional
+
+        Reference: Pecorilla and Stesina (2024), equation (27).
+        """
+        G = StateSpace.of(P0)
+        m, q = G.nu, G.ny
+        Wp, Wa = as_matrix("Wproc", Wproc, (m, m)), as_matrix("Wact", Wact, (m, m))
+        Wd, We, Wr = as_matrix("Wdist", Wdist, (q, q)), as_matrix("Werr", Werr, (q, q)), as_matrix("Wr", Wr, (q, q))
+        O = np.zeros
+        u = tuple(u) or tuple(f"u{i}" for i in range(m))
+        y = tuple(y) or tuple(f"y{i}" for i in range(q))
+        return cls(
+            A=G.A,
+            B1=np.hstack([O((G.n, q)), G.B @ Wp, O((G.n, q))]),
+            B2=G.B,
+            C1=np.vstack([-We @ G.C, O((m, G.n))]),
+            D11=np.block([[We @ Wr, -We @ G.D @ Wp, O((q, q))], [O((m, q)), O((m, m)), O((m, q))]]),
+            D12=np.vstack([-We @ G.D, Wa]),
+            C2=-G.C,
+            D21=np.hstack([Wr, -G.D @ Wp, -Wd]),
+            D22=-G.D,
+            dt=G.dt,
+            w=(*(f"reference {s}" for s in y), *(f"process {s}" for s in u), *(f"noise {s}" for s in y)),
+            u=u,
+            z=(*(f"weighted error {s}" for s in y), *(f"weighted effort {s}" for s in u)),
+            y=tuple(f"error {s}" for s in y),
+        )  # fmt: skip
+
+    def close(self, K: StateSpace) -> StateSpace:
+        """Closed loop from w to z under u = K y (positive feedback)."""
+        return lft(self.system, K, self.C2.shape[0], self.B2.shape[1])
