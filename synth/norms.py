@@ -1,0 +1,211 @@
+"""The independent judge: stability and norms of a system, by methods that share nothing with any synthesis.
+
+Two routes to the H-infinity norm, both on a balanced realisation of the discrete system (a continuous one goes
+through the Cayley map, which preserves the norm):
+
+- from below, the level-set method: a frequency at which the largest singular value was evaluated. It cannot be
+  too high, and would be too low only if a peak were missed;
+- from above, the bounded-real Riccati equation at a slightly higher level (doubling). It has a stabilising
+  solution exactly if the norm is below that level.
+
+References: Bruinsma and Steinbuch (1990), Systems & Control Letters 14, 287; Boyd and Balakrishnan (1990),
+Systems & Control Letters 15, 1; bounded real lemma: de Souza and Xie (1992), Systems & Control Letters 18, 61.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sla
+from scipy.optimize import minimize_scalar
+
+from synth.errors import NumericalError, VerificationError
+from synth.statespace import StateSpace, cayley
+
+CONFIRM = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # margins at which the second method is asked to confirm the first
+NEAR_CIRCLE = 1e-4  # an eigenvalue this near the unit circle is a candidate crossing; candidates are then evaluated
+
+
+def spectral_radius(A: np.ndarray) -> float:
+    """Largest modulus of the eigenvalues of A (n, n); 0 for n = 0."""
+    return float(np.abs(np.linalg.eigvals(A)).max()) if A.size else 0.0
+
+
+def is_stable(G: StateSpace) -> bool:
+    """All poles strictly inside the unit circle (discrete) or the left half plane (continuous)."""
+    if G.n == 0:
+        return True
+    return spectral_radius(G.A) < 1 if G.discrete else bool(G.poles().real.max() < 0)
+
+
+def balance(G: StateSpace) -> StateSpace:
+    """The same system with states scaled by powers of two so that its rows and columns have like norms."""
+    if G.n == 0:
+        return G
+    M = np.zeros((G.n + 1, G.n + 1))
+    M[:-1, :-1] = np.abs(G.A)
+    M[:-1, -1] = np.linalg.norm(G.B, axis=1)
+    M[-1, :-1] = np.linalg.norm(G.C, axis=0)
+    _, (scale, _) = sla.matrix_balance(M, permute=False, separate=True)
+    t = scale[:-1] / scale[-1]
+    return StateSpace(G.A * t / t[:, None], G.B / t[:, None], G.C * t, G.D, G.dt)
+
+
+def h2norm(system: Any) -> float:
+    """H2 norm; inf for an unstable system or a continuous one with D different from 0.
+
+    Reference: Zhou, Doyle and Glover (1996), Robust and Optimal Control, section 4.6.
+    """
+    G = balance(StateSpace.of(system))
+    if not is_stable(G) or (not G.discrete and np.any(G.D)):
+        return np.inf
+    if G.n == 0:
+        return float(np.linalg.norm(G.D))
+    if G.discrete:
+        W = sla.solve_discrete_lyapunov(G.A, G.B @ G.B.T)
+    else:
+        W = sla.solve_continuous_lyapunov(G.A, -G.B @ G.B.T)
+    return float(np.sqrt(max(np.trace(G.C @ W @ G.C.T) + np.trace(G.D @ G.D.T), 0.0)))
+
+
+def hinfnorm(system: Any, tol: float = 1e-7) -> tuple[float, float]:
+    """H-infinity norm and the frequency (rad/s) of the peak, from below to relative accuracy `tol`.
+
+    inf for an unstable system, with the frequency of the pole that is farthest out. The value is a singular value
+    evaluated at the returned frequency; `verify` confirms it from above.
+    """
+    G = StateSpace.of(system)
+    if not is_stable(G):
+        poles = G.poles()
+        worst = poles[np.argmax(np.abs(poles) if G.discrete else poles.real)]
+        return np.inf, float(abs(np.angle(worst)) / G.dt if G.discrete else abs(worst.imag))
+    if G.discrete:
+        norm, theta = _peak(balance(G), tol)
+        return norm, theta / G.dt
+    rate = cayley_rate(G)
+    norm, theta = _peak(balance(cayley(balance(G), rate)), tol)
+    return norm, float(rate * np.tan(theta / 2))
+
+
+def cayley_rate(G: StateSpace) -> float:
+    """A rate in rad/s for the Cayley map: the geometric mean of the pole moduli, away from every pole."""
+    moduli = np.abs(G.poles())
+    moduli = moduli[moduli > 1e-8 * max(moduli.max(initial=0.0), 1e-300)]
+    rate = float(np.exp(np.log(moduli).mean())) if moduli.size else 1.0
+    while G.n and np.abs(G.poles() - rate).min() < 1e-2 * rate:
+        rate *= 1.1
+    return rate
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What the judge measured on a closed loop."""
+
+    spectral_radius: float  # largest pole modulus (continuous: largest real part, rad/s)
+    norm: float  # verified H-infinity norm: no frequency exceeds it
+    peak: float  # largest singular value that was found, <= norm
+    frequency: float  # rad/s, where the peak is
+
+
+def verify(system: Any) -> Verification:
+    """Measure a closed loop: stability first, then the norm by two independent methods.
+
+    Raises
+    ------
+    VerificationError : the system is not stable, or the two methods disagree by more than one per cent.
+    """
+    G = StateSpace.of(system)
+    poles = G.poles()
+    radius = spectral_radius(G.A) if G.discrete else float(poles.real.max(initial=-np.inf))
+    if not is_stable(G):
+        what = "spectral radius" if G.discrete else "largest real part of a pole"
+        raise VerificationError(f"the closed loop is unstable: {what} {radius:.9g}")
+    peak, frequency = hinfnorm(G)
+    H = balance(G) if G.discrete else balance(cayley(balance(G), cayley_rate(G)))
+    norm = confirm(H, peak)
+    return Verification(radius, norm, peak, frequency)
+
+
+def confirm(G: StateSpace, peak: float) -> float:
+    """Smallest level above `peak` at which the bounded-real Riccati equation of a stable discrete G has a solution."""
+    from synth.doubling import bounded_real
+
+    if peak == 0:
+        return 0.0
+    for margin in CONFIRM:
+        if bounded_real(G, peak * (1 + margin)) is not None:
+            return float(peak * (1 + margin))
+    raise VerificationError(
+        f"the level-set method finds a norm of {peak:.6g}, the bounded-real Riccati equation has no solution "
+        f"even {CONFIRM[-1]:.0%} above it: the closed loop is too ill-conditioned to be judged"
+    )
+
+
+def _peak(G: StateSpace, tol: float) -> tuple[float, float]:
+    """Peak gain of a stable discrete system and its angle on the unit circle."""
+    if G.n == 0:
+        return float(np.linalg.norm(G.D, 2)), 0.0
+    gain = _gain(G)
+    poles = G.poles()
+    angles = np.concatenate([np.abs(np.angle(poles)), np.geomspace(1e-5, np.pi, 40), [0.0, np.pi]])
+    values = [gain(t) for t in angles]
+    best = int(np.argmax(values))
+    level, angle = values[best], float(angles[best])
+    if level == 0.0:
+        return 0.0, 0.0
+    for _ in range(60):
+        crossings = _crossings(G, level * (1 + tol))
+        middles = np.concatenate([(crossings[1:] + crossings[:-1]) / 2, crossings])
+        values = [gain(t) for t in middles]
+        if not values or max(values) <= level * (1 + tol):
+            return _polish(gain, angle, level)
+        best = int(np.argmax(values))
+        level, angle = values[best], float(middles[best])
+    raise NumericalError("the level-set iteration for the H-infinity norm did not end in 60 steps")
+
+
+def _polish(gain, angle: float, level: float) -> tuple[float, float]:
+    """Climb from a point that is already on top to its local maximum."""
+    width = max(1e-4 * angle, 1e-9)
+    found = minimize_scalar(
+        lambda t: -gain(t), bounds=(max(angle - width, 0.0), min(angle + width, np.pi)), method="bounded"
+    )
+    return (-float(found.fun), float(found.x)) if -found.fun > level else (float(level), angle)
+
+
+def _gain(G: StateSpace):
+    """The function angle -> largest singular value of G(e^{j angle}); one Schur form serves every frequency."""
+    T, Z = sla.schur(G.A.astype(complex), output="complex")
+    ZB, CZ, eye = Z.conj().T @ G.B, G.C @ Z, np.eye(G.n)
+
+    def gain(angle: float) -> float:
+        X = sla.solve_triangular(np.exp(1j * angle) * eye - T, ZB, check_finite=False)
+        return float(np.linalg.norm(CZ @ X + G.D, 2))
+
+    return gain
+
+
+def _crossings(G: StateSpace, level: float) -> np.ndarray:
+    """Angles at which a singular value of G may equal `level`: unit eigenvalues of the symplectic pencil.
+
+    With B, C scaled by level^-1/2 and D by 1/level the pencil of x+ = A x + B v, p = A'p+ + C'(C x + D v),
+    v = B'p+ + D'(C x + D v), p+ = lambda p.
+    """
+    n, m = G.n, G.nu
+    A, B, C, D = G.A, G.B / np.sqrt(level), G.C / np.sqrt(level), G.D / level
+    M = np.block([
+        [A, np.zeros((n, n)), B],
+        [C.T @ C, -np.eye(n), C.T @ D],
+        [D.T @ C, np.zeros((m, n)), D.T @ D - np.eye(m)],
+    ])  # fmt: skip
+    N = np.block([
+        [np.eye(n), np.zeros((n, n + m))],
+        [np.zeros((n, n)), -A.T, np.zeros((n, m))],
+        [np.zeros((m, n)), -B.T, np.zeros((m, m))],
+    ])  # fmt: skip
+    alpha, beta = sla.eigvals(M, N, homogeneous_eigvals=True, check_finite=False)
+    near = np.abs(np.abs(alpha) - np.abs(beta)) <= NEAR_CIRCLE * np.abs(beta)
+    angles = np.abs(np.angle(alpha[near]) - np.angle(beta[near]))
+    return np.unique(np.minimum(angles, 2 * np.pi - angles))
