@@ -1,0 +1,261 @@
+"""Bring a generalised plant to coordinates in which its best H-infinity level is about one, and come back.
+
+The level of a controller does not depend on the units of states, actuators, sensors, disturbances and regulated
+outputs, but the arithmetic does: solvers work to absolute tolerances, and a level of 4e-6 with torques in Nm drowns
+in them. Five steps: drop D22 (loop shift), balance by powers of two, solve two slightly regularised Riccati
+equations (LQR and Kalman), scale u and y by their innovations, balance the state between the two solutions, and
+set the level of that LQG loop to one.
+
+References: Osborne (1960), J. ACM 7; Jonckheere and Silverman (1983), IEEE TAC 28, LQG balancing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg as sla
+
+from synth.doubling import Riccati, is_positive, solve_riccati
+from synth.errors import AssumptionError, ModelError, NumericalError
+from synth.generalized import GeneralizedPlant
+from synth.statespace import StateSpace
+
+REGULARISATIONS = (1e-4, 1e-3, 1e-2, 1e-1)  # of LQR and Kalman, relative to the balanced plant
+FLOOR = 1e-8  # relative, on the singular values of the state transform
+BOUNDARY = 1e-12  # modes this close to the stability boundary count as not stable
+LOST = 1e-13  # relative distance to a loss of rank, per state, that rounding explains
+SWEEPS = 50  # of the power-of-two balancing; about five are used
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conditioned:
+    """A plant in good coordinates and the way back.
+
+    x = T x_scaled, u = Su u_scaled, y_scaled = Sy (y - D22 u), gamma = scale * gamma_scaled.
+    """
+
+    plant: GeneralizedPlant  # scaled, D22 = 0
+    scale: float  # gamma of the original plant over gamma of `plant`
+    T: np.ndarray  # (n, n) state transform
+    Su: np.ndarray  # (nu, nu) actuator scaling
+    Sy: np.ndarray  # (ny, ny) sensor scaling
+    D22: np.ndarray  # (ny, nu) of the original plant
+    F: np.ndarray  # (nu, n) A + B2 F is stable, scaled coordinates
+    L: np.ndarray  # (n, ny) A + L C2 is stable, scaled coordinates
+    X: np.ndarray  # (n, n) cost of F in the regularised LQR problem, scaled coordinates
+    Y: np.ndarray  # (n, n) covariance of L in the regularised Kalman problem, scaled coordinates
+
+    def restore(self, K: StateSpace) -> StateSpace:
+        """The controller for the original u and y, from one for the scaled plant.
+
+        Raises
+        ------
+        NumericalError : the loop through D22 is not well posed (I + Dk D22 is singular).
+        """
+        B, C, D = K.B @ self.Sy, self.Su @ K.C, self.Su @ K.D @ self.Sy
+        E = np.eye(len(D)) + D @ self.D22
+        if np.linalg.cond(E) > 1e12:
+            raise NumericalError(
+                "the controller's direct term and D22 form an algebraic loop that has no solution "
+                f"(condition of I + Dk D22 is {np.linalg.cond(E):.1e}); delay the measurement or ask for a larger gamma"
+            )
+        CE, DE = np.linalg.solve(E, C), np.linalg.solve(E, D)
+        return StateSpace(K.A - B @ self.D22 @ CE, B - B @ self.D22 @ DE, CE, DE, K.dt)
+
+
+def check_assumptions(P: GeneralizedPlant) -> None:
+    """Raise unless some controller stabilises the plant; continuous and discrete plants alike.
+
+    The test of Popov, Belevitch and Hautus at every mode that is not asymptotically stable, on the invariant
+    subspace of those modes of the balanced plant. Only rank lost to rounding counts as lost.
+
+    Raises
+    ------
+    AssumptionError : (A, B2) is not stabilisable or (C2, A) not detectable; names the modes.
+    """
+    if P.A.shape[0] == 0:
+        return
+    S = _transformed(P, _balance(P))
+    for assumption, A, B, what, remedy in (
+        ("(A, B2) stabilisable", S.A, S.B2, "no actuator moves", "add an actuator that reaches it"),
+        ("(C2, A) detectable", S.A.T, S.C2.T, "no sensor sees", "add a sensor that sees it"),
+    ):
+        modes = _unreachable(A, B, discrete=P.dt > 0)
+        if modes:
+            listed = ", ".join(f"{m.real:.6g}" if m.imag == 0 else f"{m:.6g}" for m in modes)
+            raise AssumptionError(
+                assumption,
+                f"no controller can stabilise this plant: {what} the mode at eigenvalue {listed} of A, which is not "
+                f"asymptotically stable; {remedy}, or take the mode out of the model",
+                modes,
+            )
+
+
+def precondition(P: GeneralizedPlant) -> Conditioned:
+    """Scale a discrete plant so that its best H-infinity level is about one; see the file header.
+
+    Multiplying the weights on w or z by a number changes `scale` only. D12 or D21 may be zero or lose rank.
+
+    Raises
+    ------
+    ModelError : the plant is continuous (map it by `cayley` first).
+    AssumptionError : no controller can stabilise the plant.
+    NumericalError : no stabilising gain was found although the assumptions hold (nearly) to rounding.
+    """
+    if P.dt == 0:
+        raise ModelError("the plant is continuous (dt = 0); map it to discrete time with cayley before conditioning")
+    check_assumptions(P)
+    first = _balance(P)
+    S = _transformed(P, first)
+    lqr = _lqr(S.A, S.B2, S.C1, S.D12, "(A, B2) stabilisable")
+    kalman = _lqr(S.A.T, S.C2.T, S.B1.T, S.D21.T, "(C2, A) detectable")
+    T, Ti = _lqg_balancing(lqr.X, kalman.X)
+    second = _Coordinates(T, Ti, _inverse_root(lqr.R), _inverse_root(kalman.R), 1.0, 1.0)
+    S = _transformed(S, second)
+    F, L = np.linalg.solve(second.Su, lqr.F @ T), np.linalg.solve(second.Sy, kalman.F @ Ti.T).T
+
+    K = StateSpace(S.A + S.B2 @ F + L @ S.C2, -L, F, np.zeros_like(S.D22.T), P.dt)
+    level = _peak(S.close(K)) or 1.0  # zero when nothing regulated can be disturbed
+    # w and z each by level^-1/2; u and y follow so that the innovations stay of size one
+    r = np.sqrt(level)
+    third = _Coordinates(np.eye(len(T)), np.eye(len(T)), r * np.eye(len(F)), r * np.eye(len(S.C2)), 1 / r, 1 / r)
+    T, Su, Sy = first.T @ second.T, first.Su @ second.Su * r, second.Sy @ first.Sy * r
+    return Conditioned(
+        plant=_transformed(S, third), scale=level / (first.w * first.z), T=T, Su=Su, Sy=Sy, D22=P.D22,
+        F=F / r, L=L / r, X=second.T.T @ lqr.X @ second.T / level, Y=Ti @ kalman.X @ Ti.T / level,
+    )  # fmt: skip
+
+
+class _Coordinates(NamedTuple):
+    """x = T x_new, u = Su u_new, y_new = Sy y; w and z are plain factors on the gains from w and to z."""
+
+    T: np.ndarray
+    Ti: np.ndarray  # inverse of T
+    Su: np.ndarray
+    Sy: np.ndarray
+    w: float
+    z: float
+
+
+def _transformed(P: GeneralizedPlant, c: _Coordinates) -> GeneralizedPlant:
+    """The plant in new coordinates, without D22."""
+    return replace(
+        P, A=c.Ti @ P.A @ c.T, B1=c.Ti @ P.B1 * c.w, B2=c.Ti @ P.B2 @ c.Su,
+        C1=c.z * P.C1 @ c.T, D11=c.z * c.w * P.D11, D12=c.z * P.D12 @ c.Su,
+        C2=c.Sy @ P.C2 @ c.T, D21=c.Sy @ P.D21 * c.w, D22=np.zeros_like(P.D22),
+    )  # fmt: skip
+
+
+def _balance(P: GeneralizedPlant) -> _Coordinates:
+    """Powers of two for every state, actuator and sensor, one number for w and one for z (Osborne)."""
+    n, _, nu, _, ny = P.sizes
+    x, u, y = np.ones(n), np.ones(nu), np.ones(ny)
+    A = np.abs(P.A) - np.diag(np.abs(np.diag(P.A)))
+    w = z = 1.0
+    for _ in range(SWEEPS):
+        w = _reciprocal(_stack(P.B1 / x[:, None], P.D11, P.D21 * y[:, None]))
+        z = _reciprocal(_stack(P.C1 * x, P.D11 * w, P.D12 * u))
+        du = _power_of_two([_reciprocal(_stack(P.B2[:, j] / x, z * P.D12[:, j])) / u[j] for j in range(nu)])
+        dy = _power_of_two([_reciprocal(_stack(P.C2[i] * x, w * P.D21[i])) / y[i] for i in range(ny)])
+        u, y, before = u * du, y * dy, x.copy()
+        for i in range(n):
+            row = _stack(A[i] * x, w * P.B1[i], P.B2[i] * u) / x[i]
+            column = _stack(A[:, i] / x, z * P.C1[:, i], P.C2[:, i] * y) * x[i]
+            if row > 0 and column > 0:
+                x[i] *= _power_of_two(np.sqrt(row / column))
+        if np.all(du == 1) and np.all(dy == 1) and np.all(x == before):
+            break
+    return _Coordinates(np.diag(x), np.diag(1 / x), np.diag(u), np.diag(y), w, z)
+
+
+def _stack(*parts: np.ndarray) -> float:
+    """Euclidean norm of all entries together."""
+    return float(np.sqrt(sum(np.sum(p**2) for p in parts)))
+
+
+def _reciprocal(size: float) -> float:
+    """1 / size, or 1 for a signal without gain."""
+    return 1 / size if size > 0 else 1.0
+
+
+def _power_of_two(x):
+    """The nearest powers of two."""
+    return np.exp2(np.round(np.log2(x)))
+
+
+def _unreachable(A: np.ndarray, B: np.ndarray, *, discrete: bool) -> tuple[complex, ...]:
+    """Modes of A on or outside the stability boundary that B does not reach, up to rounding."""
+    n = len(A)
+    size = np.linalg.norm(A, 2)
+
+    def persistent(value):
+        return abs(value) >= 1 - BOUNDARY if discrete else value.real >= -BOUNDARY * size
+
+    # rows of U' span the left invariant subspace: U' A = Au U'
+    schur = sla.schur(A.T, output="complex", sort=persistent)
+    Tr, Z, k = schur[0], schur[1], int(schur[-1])
+    Au, Bu = Tr[:k, :k].T, Z[:, :k].T @ B
+    gain = np.linalg.norm(B, 2)
+    Bu = Bu * (size / gain) if gain > 0 else Bu
+    lost = []
+    for mode in np.diag(Tr)[:k]:
+        s = np.linalg.svd(np.hstack([Au - mode * np.eye(k), Bu]), compute_uv=False)
+        if s[-1] <= LOST * n * max(size, 1e-300) and not any(abs(mode - m) <= 1e-6 * abs(mode) for m in lost):
+            lost.append(mode)
+    clean = [complex(m.real, 0.0 if abs(m.imag) <= 1e-9 * abs(m) else m.imag) for m in lost]
+    return tuple(sorted(clean, key=lambda m: (m.real, m.imag)))
+
+
+def _lqr(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, assumption: str) -> Riccati:
+    """LQR of |Cx + Du|^2 with the smallest regularisation of x and u for which a stabilising gain is found."""
+    n, m = B.shape
+    size = _stack(C, D) or 1.0
+    Q, R, S = C.T @ C, D.T @ D, C.T @ D
+    for epsilon in REGULARISATIONS:
+        e = (epsilon * size) ** 2
+        Qe, Re = Q + e * np.eye(n), R + e * np.eye(m)
+        solution = solve_riccati(A, B, Qe, Re, S)
+        if solution is None:
+            try:
+                X = sla.solve_discrete_are(A, B, Qe, Re, s=S)
+            except (np.linalg.LinAlgError, ValueError):
+                continue
+            solution = solve_riccati(A, B, Qe, Re, S, start=X)
+        if solution and is_positive(solution.R) and is_positive(solution.X) and _radius(A + B @ solution.F) < 1:
+            return solution
+    raise NumericalError(
+        f"no stabilising gain was found: {assumption} holds so weakly that double precision cannot use it; "
+        "rescale the model or strengthen the weakest actuator or sensor"
+    )
+
+
+def _radius(A: np.ndarray) -> float:
+    return float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))
+
+
+def _inverse_root(M: np.ndarray) -> np.ndarray:
+    """M^-1/2 of a positive definite matrix."""
+    e, V = np.linalg.eigh(M)
+    return (V / np.sqrt(np.maximum(e, FLOOR**2 * e[-1]))) @ V.T
+
+
+def _lqg_balancing(X: np.ndarray, Y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """T and its inverse with T'X T = T^-1 Y T^-T diagonal, as far as the floor allows."""
+    Lx, Ly = np.linalg.cholesky(X), np.linalg.cholesky(Y)
+    _, s, Vt = np.linalg.svd(Lx.T @ Ly)
+    root = np.sqrt(np.maximum(s, FLOOR * s.max(initial=0.0)))
+    return Ly @ Vt.T / root, root[:, None] * (Vt @ np.linalg.inv(Ly))
+
+
+def _peak(G: StateSpace) -> float:
+    """Rough H-infinity norm: the largest gain at 0, Nyquist and the angles of the least damped poles."""
+    Tr, Z = sla.schur(G.A, output="complex")[:2]
+    B, C, poles = Z.conj().T @ G.B, G.C @ Z, np.diag(Tr)
+    angles = np.abs(np.angle(poles[np.argsort(-np.abs(poles))[:30]]))
+    gains = []
+    for angle in np.unique(np.concatenate([[0.0, np.pi], angles])):
+        x = sla.solve_triangular(np.exp(1j * angle) * np.eye(G.n) - Tr, B) if G.n else B
+        gains.append(np.linalg.norm(C @ x + G.D, 2))
+    return float(max(gains))
