@@ -1,0 +1,74 @@
+"""Controller synthesis by convex optimisation, verified: from matrices to controllers that were measured.
+
+The names below are imported when they are first used, so that ``import synth`` costs nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from synth.controller import LinearController as LinearController
+    from synth.controller import StateFeedback as StateFeedback
+    from synth.design import Design as Design
+    from synth.design import Info as Info
+    from synth.errors import AssumptionError as AssumptionError
+    from synth.errors import InfeasibleError as InfeasibleError
+    from synth.errors import ModelError as ModelError
+    from synth.errors import NumericalError as NumericalError
+    from synth.errors import SynthError as SynthError
+    from synth.errors import VerificationError as VerificationError
+    from synth.generalized import GeneralizedPlant as GeneralizedPlant
+    from synth.hinfinity import hinfsyn as hinfsyn
+    from synth.mpc import Mpc as Mpc
+    from synth.mpc import mpc as mpc
+    from synth.norms import h2norm as h2norm
+    from synth.norms import hinfnorm as hinfnorm
+    from synth.norms import verify as verify
+    from synth.statespace import StateSpace as StateSpace
+    from synth.statespace import c2d as c2d
+    from synth.statespace import feedback as feedback
+    from synth.statespace import lft as lft
+    from synth.statespace import series as series
+
+_HOME = {
+    "AssumptionError": "errors",
+    "Design": "design",
+    "GeneralizedPlant": "generalized",
+    "InfeasibleError": "errors",
+    "Info": "design",
+    "LinearController": "controller",
+    "ModelError": "errors",
+    "Mpc": "mpc",
+    "NumericalError": "errors",
+    "StateFeedback": "controller",
+    "StateSpace": "statespace",
+    "SynthError": "errors",
+    "VerificationError": "errors",
+    "c2d": "statespace",
+    "feedback": "statespace",
+    "h2norm": "norms",
+    "hinfnorm": "norms",
+    "hinfsyn": "hinfinity",
+    "lft": "statespace",
+    "mpc": "mpc",
+    "series": "statespace",
+    "verify": "norms",
+}
+
+__all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str):
+    """Import a public name from its module."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'synth' has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"synth.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return [*globals(), *_HOME]

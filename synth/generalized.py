@@ -10,7 +10,8 @@ those of (27).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from synth.errors import ModelError
 from synth.statespace import StateSpace, as_matrix, as_timebase, lft
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class GeneralizedPlant:
     """Nine matrices and a timebase; checked when made.
 
@@ -44,6 +45,7 @@ class GeneralizedPlant:
     u: tuple[str, ...] = ()  # (nu) names
     z: tuple[str, ...] = ()  # (nz) names
     y: tuple[str, ...] = ()  # (ny) names
+    units: Mapping[str, str] = field(default_factory=dict)  # channel name -> unit, for exported files
 
     def __post_init__(self):
         D11, D22 = as_matrix("D11", self.D11), as_matrix("D22", self.D22)
@@ -65,6 +67,10 @@ class GeneralizedPlant:
             if len(names) != size or len(set(names)) != size:
                 raise ModelError(f"channel {channel} has names {names}; give {size} different ones")
             object.__setattr__(self, channel, names)
+        unknown = set(self.units) - {*self.w, *self.u, *self.z, *self.y}
+        if unknown:
+            raise ModelError(f"units are given for {sorted(unknown)}, which are no channels of the plant")
+        object.__setattr__(self, "units", dict(self.units))
 
     @property
     def sizes(self) -> tuple[int, int, int, int, int]:
@@ -93,7 +99,7 @@ class GeneralizedPlant:
         )  # fmt: skip
 
     @classmethod
-    def tracking(cls, P0: Any, *, Wproc, Wdist, Werr, Wact, Wr, u=(), y=()) -> GeneralizedPlant:
+    def tracking(cls, P0: Any, *, Wproc, Wdist, Werr, Wact, Wr, u=(), y=(), units=None) -> GeneralizedPlant:
         """Tracking framework with constant weights, seed equation (27): y = Wr r - P0 (Wp n + u) - Wd d.
 
         Parameters
@@ -102,6 +108,7 @@ class GeneralizedPlant:
         Wproc : (m, m) process noise; Wdist : (q, q) sensor noise; Werr : (q, q) tracking error
         Wact : (m, m) control effort; Wr : (q, q) reference
         u, y : names of the m inputs and q outputs of P0, optional
+        units : unit of each name in u and y, optional; the derived channels inherit them
 
         Reference: Pecorilla and Stesina (2024), equation (27).
         """
@@ -110,6 +117,7 @@ class GeneralizedPlant:
         Wp, Wa = as_matrix("Wproc", Wproc, (m, m)), as_matrix("Wact", Wact, (m, m))
         Wd, We, Wr = as_matrix("Wdist", Wdist, (q, q)), as_matrix("Werr", Werr, (q, q)), as_matrix("Wr", Wr, (q, q))
         O = np.zeros
+        units = dict(units or {})
         u = tuple(u) or tuple(f"u{i}" for i in range(m))
         y = tuple(y) or tuple(f"y{i}" for i in range(q))
         return cls(
@@ -127,6 +135,7 @@ class GeneralizedPlant:
             u=u,
             z=(*(f"weighted error {s}" for s in y), *(f"weighted effort {s}" for s in u)),
             y=tuple(f"error {s}" for s in y),
+            units={s: units[s] for s in u if s in units} | {f"error {s}": units[s] for s in y if s in units},
         )  # fmt: skip
 
     def close(self, K: StateSpace) -> StateSpace:

@@ -22,7 +22,7 @@ import scipy.linalg as sla
 from scipy.optimize import minimize_scalar
 
 from synth.errors import NumericalError, VerificationError
-from synth.statespace import StateSpace, cayley
+from synth.statespace import StateSpace, cayley, cayley_rate
 
 CONFIRM = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # margins at which the second method is asked to confirm the first
 NEAR_CIRCLE = 1e-4  # an eigenvalue this near the unit circle is a candidate crossing; candidates are then evaluated
@@ -87,16 +87,6 @@ def hinfnorm(system: Any, tol: float = 1e-7) -> tuple[float, float]:
     rate = cayley_rate(G)
     norm, theta = _peak(balance(cayley(balance(G), rate)), tol)
     return norm, float(rate * np.tan(theta / 2))
-
-
-def cayley_rate(G: StateSpace) -> float:
-    """A rate in rad/s for the Cayley map: the geometric mean of the pole moduli, away from every pole."""
-    moduli = np.abs(G.poles())
-    moduli = moduli[moduli > 1e-8 * max(moduli.max(initial=0.0), 1e-300)]
-    rate = float(np.exp(np.log(moduli).mean())) if moduli.size else 1.0
-    while G.n and np.abs(G.poles() - rate).min() < 1e-2 * rate:
-        rate *= 1.1
-    return rate
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,7 @@ def as_timebase(dt: Any) -> float:
     return value
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StateSpace:
     """A state-space system; checked when made, immutable, picklable.
 
@@ -249,6 +249,16 @@ def cayley(G: StateSpace, rate: float, dt: float = 1.0) -> StateSpace:
     C = np.sqrt(2 * rate) * np.linalg.solve(E.T, G.C.T).T
     D = G.D + G.C @ np.linalg.solve(E, G.B)
     return StateSpace(A, B, C, D, dt)
+
+
+def cayley_rate(G: StateSpace) -> float:
+    """A rate in rad/s for the Cayley map: the geometric mean of the pole moduli, away from every pole."""
+    moduli = np.abs(G.poles())
+    moduli = moduli[moduli > 1e-8 * max(moduli.max(initial=0.0), 1e-300)]
+    rate = float(np.exp(np.log(moduli).mean())) if moduli.size else 1.0
+    while G.n and np.abs(G.poles() - rate).min() < 1e-2 * rate:
+        rate *= 1.1
+    return rate
 
 
 def inverse_cayley(G: StateSpace, rate: float) -> StateSpace:

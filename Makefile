@@ -1,0 +1,37 @@
+# make demo   the CubeSat study in a fresh virtual environment
+# make test   everything that CI runs as tests
+# make check  formatting, lint, types, import contracts
+
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+OUT    ?= out/cubesat3u
+
+.PHONY: demo test check clean
+
+demo: $(VENV)/run.stamp
+	$(BIN)/python examples/cubesat3u.py --out $(OUT)
+
+test: $(VENV)/dev.stamp
+	$(BIN)/python -m pytest
+
+check: $(VENV)/dev.stamp
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+	$(BIN)/lint-imports
+
+$(VENV)/run.stamp: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(PIP) -e .
+	touch $@
+
+# slycot has no wheel for every platform; the tests that compare with it skip without it
+$(VENV)/dev.stamp: $(VENV)/run.stamp
+	$(PIP) -e ".[dev]"
+	$(PIP) --only-binary slycot -e ".[oracles]" || echo "slycot is not available here: its comparisons will be skipped"
+	touch $@
+
+clean:
+	rm -rf $(VENV) out dist build

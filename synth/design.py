@@ -1,0 +1,182 @@
+"""A design: the verified controller, the loop it closes, and how it came about; saved and loaded with provenance.
+
+The JSON file is the master format. Matrices are written with every bit (the shortest decimal that reads back
+exactly); the plant is in the file, so that reading it can close the loop and measure the norm again.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, fields
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from synth.errors import ModelError, VerificationError
+from synth.generalized import GeneralizedPlant
+from synth.norms import verify
+from synth.statespace import StateSpace
+
+if TYPE_CHECKING:
+    import control
+
+FORMAT = "convex-synth design"
+FORMAT_VERSION = 1
+REMEASURE = 1e-5  # relative agreement of the norm in a file with the norm measured when it is read
+
+
+@dataclass(frozen=True)
+class Info:
+    """How a design came about, and what the judge measured."""
+
+    method: str  # the route that answered: "lmi", "riccati", "standard", "extended"
+    status: str  # the solver's own word, which is no proof
+    level: float  # the level the controller was designed for, >= gamma
+    spectral_radius: float  # of the closed loop (continuous: largest real part, rad/s)
+    frequency: float  # rad/s, peak of the closed loop's largest singular value
+    seconds: float  # wall time from call to verified design
+    solver: str  # what solved the problem
+    tolerance: float  # relative, of that solver
+    failures: Mapping[str, str]  # routes and back-offs that were tried before, with their reasons
+    versions: Mapping[str, str]  # packages that took part
+    date: str  # ISO 8601, UTC
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """A verified controller. Unpacks as ``K, CL, gamma, info`` with `control.StateSpace` objects."""
+
+    plant: GeneralizedPlant
+    controller: StateSpace  # u = K y, positive feedback
+    closed_loop: StateSpace  # w -> z
+    gamma: float  # optimal level found, or the level asked for
+    verified_norm: float  # H-infinity norm of the closed loop, measured by two independent methods
+    info: Info
+
+    @property
+    def K(self) -> control.StateSpace:
+        """The controller as a `control.StateSpace`, with the plant's y and u as signal names."""
+        K = self.controller.to_control()
+        K.input_labels, K.output_labels = list(self.plant.y), list(self.plant.u)
+        return K
+
+    @property
+    def CL(self) -> control.StateSpace:
+        """The closed loop as a `control.StateSpace`, with the plant's w and z as signal names."""
+        CL = self.closed_loop.to_control()
+        CL.input_labels, CL.output_labels = list(self.plant.w), list(self.plant.z)
+        return CL
+
+    def __iter__(self) -> Iterator[Any]:
+        """K, CL, gamma, info."""
+        return iter((self.K, self.CL, self.gamma, self.info))
+
+    def __repr__(self) -> str:
+        n, _, nu, _, ny = self.plant.sizes
+        dt = f"dt = {self.plant.dt:g} s" if self.plant.dt else "continuous"
+        return (
+            f"Design(order {self.controller.n} controller, {ny} measurements, {nu} controls, {dt}; plant order {n}\n"
+            f"       gamma {self.gamma:.7g}, verified norm {self.verified_norm:.7g} at {self.info.frequency:.4g} rad/s,"
+            f" method {self.info.method!r}, {self.info.seconds:.2f} s)"
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write to `path`: ``.json`` (master format, read back by `load`) or ``.mat`` (MATLAB and Octave).
+
+        The file appears whole or not at all.
+
+        Raises
+        ------
+        ModelError : the file name ends otherwise.
+        """
+        path = Path(path)
+        if path.suffix == ".json":
+            return write_atomically(path, json.dumps(to_dict(self), indent=1, allow_nan=False).encode())
+        if path.suffix == ".mat":
+            from synth.export.matlab import mat_bytes
+
+            return write_atomically(path, mat_bytes(self))
+        raise ModelError(f"path ends with {path.suffix!r}; a design is saved as .json or .mat")
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Design:
+        """Read a ``.json`` file, close the loop again and measure it.
+
+        Raises
+        ------
+        ModelError : the file is no design, is incomplete, or its plant is not the one the hash was taken of.
+        VerificationError : the loop is unstable or its norm is not the one in the file.
+        """
+        try:
+            data = json.loads(Path(path).read_text(encoding="utf-8"))
+        except (UnicodeDecodeError, json.JSONDecodeError) as error:
+            raise ModelError(f"{Path(path).name} is not JSON ({error}); pass a file written by Design.save") from None
+        return from_dict(data)
+
+
+def to_dict(design: Design) -> dict[str, Any]:
+    """The design as plain data, complete and exact."""
+    plant = {f.name: getattr(design.plant, f.name) for f in fields(design.plant)}
+    return {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "convention": "x+ = A x + B y, u = C x + D y (dt > 0) or its continuous counterpart; u = K y",
+        "controller": {name: getattr(design.controller, name).tolist() for name in "ABCD"},
+        "dt": design.plant.dt,
+        "gamma": design.gamma,
+        "verified_norm": design.verified_norm,
+        "plant": {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in plant.items()},
+        "plant_sha256": design.plant.system.digest(),
+        "info": asdict(design.info),
+    }
+
+
+def from_dict(data: Any) -> Design:
+    """The inverse of `to_dict`, checked."""
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        raise ModelError(f"the data is no design: its format is not {FORMAT!r}; pass what Design.save wrote")
+    if data.get("format_version") != FORMAT_VERSION:
+        raise ModelError(
+            f"format_version is {data.get('format_version')!r}, this release reads {FORMAT_VERSION}; "
+            "read the file with the release that wrote it"
+        )
+    try:
+        plant = GeneralizedPlant(**data["plant"])
+        controller = StateSpace(*(data["controller"][name] for name in "ABCD"), data["dt"])
+        info = Info(**data["info"])
+        gamma, norm, digest = float(data["gamma"]), float(data["verified_norm"]), data["plant_sha256"]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ModelError(f"the design is incomplete or damaged: {error}") from None
+    if plant.system.digest() != digest:
+        raise ModelError("plant_sha256 does not belong to the plant in the file: one of them was changed")
+    closed_loop = plant.close(controller)
+    measured = verify(closed_loop)
+    if abs(measured.norm - norm) > REMEASURE * norm:
+        raise VerificationError(f"the file claims a norm of {norm:.9g}, measured is {measured.norm:.9g}")
+    return Design(plant, controller, closed_loop, gamma, norm, info)
+
+
+def write_atomically(path: Path, content: bytes) -> Path:
+    """Write beside the target and rename, so that a reader never sees half a file."""
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+    return path
+
+
+def provenance(*packages: str) -> tuple[dict[str, str], str]:
+    """Versions of the packages that took part, and the date (ISO 8601, UTC)."""
+    versions = {name: metadata.version(name) for name in ("convex-synth", "numpy", "scipy", *packages)}
+    return versions, datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")

@@ -1,0 +1,50 @@
+"""A design as a MATLAB level-5 file: one struct `design`, read by MATLAB and Octave with ``load``.
+
+``K = ss(design.K.A, design.K.B, design.K.C, design.K.D, design.dt)`` rebuilds the controller, u = K y.
+"""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.io
+
+if TYPE_CHECKING:
+    from synth.design import Design
+
+
+def mat_bytes(design: Design) -> bytes:
+    """The content of the .mat file."""
+    from synth.design import to_dict
+
+    data = to_dict(design)
+    plant = {name: np.asarray(value, dtype=float) for name, value in data["plant"].items() if name[0] in "ABCD"}
+    names = {channel: _cell(data["plant"][channel]) for channel in "wuzy"}
+    info = data["info"]
+    content = {
+        "K": {name: np.asarray(data["controller"][name], dtype=float) for name in "ABCD"},
+        "P": plant,
+        "dt": float(data["dt"]),
+        "gamma": float(data["gamma"]),
+        "verified_norm": float(data["verified_norm"]),
+        "names": names,
+        "units": {channel: _cell([design.plant.units.get(s, "") for s in data["plant"][channel]]) for channel in "uy"},
+        "plant_sha256": data["plant_sha256"],
+        "method": info["method"],
+        "solver": info["solver"],
+        "tolerance": float(info["tolerance"]),
+        "date": info["date"],
+        "versions": _cell([f"{name} {version}" for name, version in info["versions"].items()]),
+    }
+    buffer = io.BytesIO()
+    scipy.io.savemat(buffer, {"design": content}, oned_as="column", long_field_names=True)
+    return buffer.getvalue()
+
+
+def _cell(texts) -> np.ndarray:
+    """A cell array of strings; a plain list would become one padded character matrix."""
+    cell = np.empty((len(texts), 1), dtype=object)
+    cell[:, 0] = list(texts)
+    return cell

@@ -1,0 +1,55 @@
+"""The only door to CVXPY's solvers: tolerances, statuses, errors; and the upper staircase a block LMI is typed as."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+
+from synth.errors import NumericalError
+
+TOLERANCE = 1e-8  # tighter only turns "optimal" into "optimal_inaccurate" without moving the solution
+BACKOFF = (1e-3, 3e-3, 1e-2, 1e-1, 1.0)  # relative distances from the optimum at which controllers are centred
+
+
+def staircase(rows: Sequence[Sequence[Any]]) -> cp.Expression:
+    """A symmetric block matrix from its upper triangle; 0 stands for a zero block.
+
+    Row i lists the blocks (i, i), (i, i+1), ...; diagonal blocks give the sizes.
+    """
+    sizes = [row[0].shape[0] for row in rows]
+
+    def block(i: int, j: int):
+        if i > j:
+            return block(j, i).T
+        entry = rows[i][j - i]
+        return np.zeros((sizes[i], sizes[j])) if isinstance(entry, int) and entry == 0 else entry
+
+    k = range(len(rows))
+    return cp.bmat([[block(i, j) for j in k] for i in k])
+
+
+def solve(objective: Any, lmis: Sequence[cp.Expression], *, tol: float = TOLERANCE) -> str:
+    """Minimise a scalar (0: find the analytic centre) with every matrix in `lmis` positive semidefinite.
+
+    Returns the solver's status, "optimal" or "optimal_inaccurate": neither is a proof, and the caller verifies.
+
+    Raises
+    ------
+    NumericalError : the solver ended without a point; `statuses` says how.
+    """
+    problem = cp.Problem(cp.Minimize(objective), [M >> 0 for M in lmis])
+    settings = {"tol_gap_abs": tol, "tol_gap_rel": tol, "tol_feas": tol}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            problem.solve(solver=cp.CLARABEL, **settings)
+        except cp.error.SolverError as error:
+            raise NumericalError(f"Clarabel stopped: {error}", {"clarabel": str(error)}) from None
+    status = str(problem.status)
+    if status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
+        raise NumericalError(f"Clarabel ended with status {status!r}", {"clarabel": status})
+    return status
