@@ -47,6 +47,7 @@ def dcm(q: ArrayLike) -> Array:
 def rotate(q: ArrayLike, v: ArrayLike) -> Array:
     """A(q) v without forming A, for a unit quaternion: (..., 4), (..., 3) -> (..., 3)."""
     q0, qv = _split(q)
+    v = jnp.asarray(v)
     return v + 2 * cross(qv, cross(qv, v) - q0 * v)
 
 

@@ -1,0 +1,50 @@
+"""What a number of a plant must be before it may enter a simulation.
+
+Factories call `real` on every argument. Shape and precision are checked also of values that JAX is tracing;
+the rest needs concrete numbers and is skipped inside `jit`, `vmap` and `grad`, where nothing can raise.
+"""
+
+from typing import Any
+
+import jax
+import numpy as np
+from jax import Array
+
+from plants.errors import ScenarioError
+
+
+def real(
+    name: str, value: Any, shape: tuple[int | None, ...] = (), *, low: float | None = None, infinite: bool = False
+) -> np.ndarray | Array:
+    """Float64 array of the given shape; concrete values become NumPy arrays, traced ones stay as they are.
+
+    Parameters
+    ----------
+    name : what the error message calls the field
+    value : anything `np.asarray` takes
+    shape : expected shape, None where any length will do
+    low : least value allowed, no bound if None
+    infinite : whether +inf is allowed ("no limit")
+
+    Raises
+    ------
+    ScenarioError
+        Wrong shape, not real numbers, NaN or infinity, below `low`; a traced value that is not float64.
+    """
+    traced = isinstance(value, jax.core.Tracer)
+    if traced and value.dtype != np.float64:
+        raise ScenarioError(f"{name} is traced as {value.dtype}: enter `jax.enable_x64(True)` around the call")
+    try:
+        array = value if traced else np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ScenarioError(f"{name} must be real numbers, got {value!r}") from error
+    if len(array.shape) != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
+        wanted = tuple("n" if n is None else n for n in shape)
+        raise ScenarioError(f"{name} must have shape {wanted}, got {array.shape}")
+    if traced:
+        return array
+    if not np.isfinite(np.where(array == np.inf, 0.0, array) if infinite else array).all():
+        raise ScenarioError(f"{name} must be finite, got {array.tolist()}: check where it comes from")
+    if low is not None and (array < low).any():
+        raise ScenarioError(f"{name} must be at least {low:g}, got {array.tolist()}")
+    return array

@@ -1,0 +1,152 @@
+"""Rigid body with reaction wheels: Euler's equation with the momentum and the reaction of the wheels.
+
+Pecorilla and Stesina (2024), eq. 3, leaves out the reaction of the motors on the body; with it, for wheels of spin
+inertia Js on the axes G (columns) and body inertia I that includes the wheels at rest,
+
+    (I - G Js G') dw = T - w x (I w + G Js Om) - G u,      dOm = u / Js - G' dw
+
+u is the torque of the motors on the wheels, so the body feels -G u. Eq. 7 is read as dq = (q0 w + q x w) / 2.
+See Markley and Crassidis (2014), section 3.3.5.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from plants import attitude
+from plants.checks import real
+from plants.disturbances import Disturbance, seen_from
+from plants.environment import OrbitEnv
+from plants.errors import ScenarioError
+
+
+class BodyState(NamedTuple):
+    """State of a rigid body with n wheels."""
+
+    q: ArrayLike  # (4,) attitude of the body relative to frame N
+    w: ArrayLike  # (3,) rad/s, inertial rate in body axes
+    wheels: ArrayLike  # (n,) rad/s, wheel speeds relative to the body
+
+
+@partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["inertia", "inverse", "wheel_axes", "wheel_inertia", "disturbances"],
+    meta_fields=[],
+)
+@dataclass(frozen=True, kw_only=True)
+class RigidBody:
+    """A rigid body with n reaction wheels, or without wheels and driven by an external torque.
+
+    Build it with `RigidBody.create`, which checks the numbers. The bare constructor checks nothing, because JAX
+    calls it with tracers.
+    """
+
+    inertia: ArrayLike  # (3, 3) kg m^2, wheels included
+    inverse: ArrayLike  # (3, 3) 1/(kg m^2), of I - G Js G'
+    wheel_axes: ArrayLike  # (3, n) unit spin axes in body axes, as columns
+    wheel_inertia: ArrayLike  # (n,) kg m^2, about the spin axes
+    disturbances: tuple[Disturbance, ...]
+
+    @classmethod
+    def create(
+        cls,
+        inertia: ArrayLike,
+        *,
+        wheel_axes: ArrayLike | None = None,
+        wheel_inertia: ArrayLike | None = None,
+        disturbances: tuple[Disturbance, ...] = (),
+    ) -> "RigidBody":
+        """Rigid body from its numbers, concrete or traced (then only shapes and precision are checked).
+
+        Parameters
+        ----------
+        inertia : (3, 3) kg m^2, with the wheels at rest relative to the body
+        wheel_axes : (3, n) unit columns; without wheels the input is an external torque
+        wheel_inertia : (n,) kg m^2
+        disturbances : see `plants.disturbances`
+
+        Raises
+        ------
+        ScenarioError
+            Wrong shapes, NaN, float32 tracers; an inertia that is not symmetric or, without its rotors, not positive
+            definite; axes that are not unit vectors; a wheel inertia that is not positive.
+        """
+        if (wheel_axes is None) != (wheel_inertia is None):
+            raise ScenarioError("wheel_axes and wheel_inertia come together: give both or neither")
+        I = real("inertia", inertia, (3, 3))
+        G = real("wheel_axes", np.zeros((3, 0)) if wheel_axes is None else wheel_axes, (3, None))
+        n = G.shape[1]
+        Js = real("wheel_inertia", np.zeros(0) if wheel_inertia is None else wheel_inertia, (n,))
+        rest = I - (G * Js) @ G.T
+        if isinstance(rest, jax.core.Tracer):
+            inverse = jnp.linalg.inv(rest)
+        else:
+            _check(I, G, Js, rest)
+            inverse = np.linalg.inv(rest)
+        return cls(inertia=I, inverse=inverse, wheel_axes=G, wheel_inertia=Js, disturbances=tuple(disturbances))
+
+    def derivative(self, x: BodyState, u: ArrayLike, env: OrbitEnv) -> BodyState:
+        """Time derivative of the state.
+
+        Parameters
+        ----------
+        x : state
+        u : (n,) N m, torques of the motors on the wheels; without wheels (3,) N m, torque on the body
+        env : surroundings
+        """
+        G = jnp.asarray(self.wheel_axes)
+        control = -(G @ u) if G.shape[1] else jnp.asarray(u)
+        torque = self.disturbance_torque(x.q, env) - attitude.cross(x.w, self.momentum(x)) + control
+        dw = self.inverse @ torque  # Equation 3
+        spin = u / self.wheel_inertia - G.T @ dw if G.shape[1] else jnp.asarray(x.wheels)
+        return BodyState(q=attitude.kinematics(x.q, x.w), w=dw, wheels=spin)
+
+    def momentum(self, x: BodyState) -> Array:
+        """Angular momentum I w + G Js Om in body axes, (3,) N m s. Equation 2."""
+        return self.inertia @ x.w + self.wheel_axes @ (self.wheel_inertia * x.wheels)
+
+    def disturbance_torque(self, q: ArrayLike, env: OrbitEnv) -> Array:
+        """Sum of the disturbances at attitude q (4,) relative to frame N: (3,) N m in body axes."""
+        seen, I = seen_from(q, env), jnp.asarray(self.inertia)
+        return sum((d.torque(seen, I) for d in self.disturbances), start=jnp.zeros(3))
+
+    def output(self, x: BodyState, env: OrbitEnv) -> Array:
+        """What a nadir-pointing controller regulates: (6,) [q_OB; w_OB].
+
+        q_OB : vector part of the attitude relative to frame O, scalar part >= 0
+        w_OB : rad/s, rate relative to frame O in body axes. Equation 4
+        """
+        q = attitude.compose(x.q, attitude.conjugate(env.q_ON))
+        return jnp.concatenate([attitude.positive(q)[1:], x.w - attitude.rotate(q, env.w_ON)])
+
+    def project(self, x: BodyState) -> BodyState:
+        """The state with its quaternion scaled to unit length."""
+        return x._replace(q=attitude.normalise(x.q))
+
+
+def state_from(q_OB: ArrayLike, w_OB: ArrayLike, wheels: ArrayLike, env: OrbitEnv) -> BodyState:
+    """State of a body whose attitude (4,) and rate (3,) rad/s (body axes) are known relative to frame O."""
+    return BodyState(
+        q=attitude.compose(q_OB, env.q_ON),
+        w=jnp.asarray(w_OB) + attitude.rotate(q_OB, env.w_ON),
+        wheels=jnp.asarray(wheels),
+    )
+
+
+def _check(I: np.ndarray, G: np.ndarray, Js: np.ndarray, rest: np.ndarray) -> None:
+    """Raise ScenarioError for a body that cannot exist."""
+    if not np.allclose(I, I.T, rtol=0, atol=1e-12 * np.abs(I).max()):
+        raise ScenarioError(f"inertia must be symmetric, got {I.tolist()}: products of inertia come in pairs")
+    if np.linalg.eigvalsh(rest)[0] <= 0:
+        raise ScenarioError(f"inertia without the rotors must be positive definite, got {rest.tolist()} kg m^2")
+    lengths = np.linalg.norm(G, axis=0)
+    if not np.allclose(lengths, 1, rtol=0, atol=1e-9):
+        raise ScenarioError(f"wheel_axes must be unit columns, got lengths {lengths.tolist()}: normalise them")
+    if (Js <= 0).any():
+        raise ScenarioError(f"wheel_inertia must be positive, got {Js.tolist()} kg m^2")
