@@ -1,0 +1,142 @@
+"""Frozen dataclasses of numbers as JAX sees them: registered, checked, and stacked into batches.
+
+A field is a number that may differ from run to run if it holds floats or arrays of numbers, also inside tuples
+and other dataclasses. Everything else (int, bool, str, functions) is part of the program: another value is
+another compilation. `field(metadata={"static": True})` puts a field of floats among the latter.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from plants.errors import ScenarioError
+
+
+class Form(NamedTuple):
+    """What a compiled function is compiled for, hashable."""
+
+    structure: Any  # of one object
+    axes: tuple[int | None, ...]  # of `vmap` for each leaf: 0 where it differs between lanes
+    lanes: int
+
+    def each(self, function: Callable[..., Any], leaves: Sequence[Any], *own: Any) -> Any:
+        """`vmap` of function(object, *own); the arrays in `own` have a leading axis of lanes."""
+
+        def one(leaves: Sequence[Any], *own: Any) -> Any:
+            return function(jax.tree.unflatten(self.structure, leaves), *own)
+
+        axes = (list(self.axes), *(0 for _ in own))
+        return jax.vmap(one, in_axes=axes, axis_size=self.lanes)(leaves, *own)
+
+
+class Stack(NamedTuple):
+    """Several objects of one structure as one: what is equal in all is kept once."""
+
+    leaves: list[Any]  # arrays; those that differ have a leading axis of lanes
+    form: Form
+
+
+def register(block: Any) -> None:
+    """Register the class of a frozen dataclass, and of those inside it, as pytrees, each class once.
+
+    Raises
+    ------
+    ScenarioError
+        If a block is a mutable dataclass.
+    """
+    if isinstance(block, tuple | list):
+        for item in block:
+            register(item)
+    if not dataclasses.is_dataclass(block) or isinstance(block, type):
+        return
+    kind = type(block)
+    members = [f for f in dataclasses.fields(block) if f.init]
+    for f in members:
+        register(getattr(block, f.name))
+    if not jax.tree_util.all_leaves([block]):
+        return  # already known to JAX
+    if not kind.__dataclass_params__.frozen:  # pyright: ignore[reportAttributeAccessIssue]
+        raise ScenarioError(f"{kind.__name__} is a mutable dataclass: declare it with frozen=True")
+    data = [f.name for f in members if _is_data(f, getattr(block, f.name))]
+    program = [f.name for f in members if f.name not in data]
+    jax.tree_util.register_dataclass(kind, data, program)
+
+
+def check_numbers(block: Any, name: str, *, finite: bool = False) -> None:
+    """Raise `ScenarioError` for a leaf that is not a number, is NaN (or infinite), or has lost precision."""
+    for path, leaf in jax.tree_util.tree_flatten_with_path(block)[0]:
+        where = name + jax.tree_util.keystr(path)
+        try:
+            value = np.asarray(leaf)
+        except Exception as error:
+            raise ScenarioError(f"{where} = {leaf!r} is not an array of numbers") from error
+        if value.dtype.kind not in "fiub":
+            hint = "make it a frozen dataclass or an array" if value.dtype == object else "give real numbers"
+            raise ScenarioError(f"{where} has type {type(leaf).__name__}: {hint}")
+        if value.dtype.kind == "f" and value.dtype.itemsize < 8:
+            raise ScenarioError(
+                f"{where} is {value.dtype}, of 7 digits: build it with NumPy or inside jax.enable_x64(True)"
+            )
+        if np.isnan(value).any() or (finite and not np.isfinite(value).all()):
+            raise ScenarioError(f"{where} = {value} is not finite: give finite numbers")
+
+
+def stack(objects: Sequence[Any], varying: Sequence[bool] | None = None) -> Stack:
+    """Stack equal-structured pytrees; leaves equal in all are kept once unless marked in `varying`.
+
+    Raises
+    ------
+    ScenarioError
+        If structures or array shapes differ.
+    """
+    flat = [jax.tree.flatten(item) for item in objects]
+    structure = flat[0][1]
+    for index, (_, other) in enumerate(flat):
+        if other != structure:
+            raise ScenarioError(
+                f"run {index} differs from run 0 in more than numbers (classes or whole-number settings): "
+                "fly it in a batch of its own"
+            )
+    leaves: list[Any] = []
+    axes: list[int | None] = []
+    for position, column in enumerate(zip(*(leaves for leaves, _ in flat), strict=True)):
+        first = column[0]
+        forced = varying is not None and varying[position]
+        if not forced and all(item is first or np.array_equal(item, first) for item in column[1:]):
+            leaves.append(_array(first))
+            axes.append(None)
+            continue
+        shapes = {np.shape(item) for item in column}
+        if len(shapes) > 1:
+            raise ScenarioError(f"arrays of shapes {sorted(shapes)} in one batch: give all runs the same shape")
+        leaves.append(np.stack([_array(item) for item in column]))
+        axes.append(0)
+    return Stack(leaves, Form(structure, tuple(axes), len(objects)))
+
+
+def names(block: Any) -> list[str]:
+    """Path of every leaf, such as ".plant.inertia", in the order of `stack`."""
+    return [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_flatten_with_path(block)[0]]
+
+
+def _array(leaf: Any) -> np.ndarray:
+    """A NumPy array of full width: float64, int64 or bool."""
+    value = np.asarray(leaf)
+    wide = {"f": np.float64, "i": np.int64, "u": np.int64, "b": np.bool_}
+    return value.astype(wide[value.dtype.kind], copy=False)
+
+
+def _is_data(member: dataclasses.Field | None, value: Any) -> bool:
+    """Whether a field holds numbers that may differ from run to run."""
+    if member is not None and member.metadata.get("static", False):
+        return False
+    if value is None or dataclasses.is_dataclass(value):
+        return True
+    if isinstance(value, np.ndarray | np.generic | jax.Array):
+        return value.dtype.kind in "fiub"
+    if isinstance(value, tuple | list):
+        return all(_is_data(None, item) for item in value)
+    return isinstance(value, float)

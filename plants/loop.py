@@ -1,0 +1,218 @@
+"""What a closed loop is: the protocols of its blocks, the loop, the scenario it flies, and the run that comes out.
+
+Blocks are frozen dataclasses of numbers; what flows through them is NamedTuples of arrays. A controller written
+elsewhere fits without knowing this package, because protocols are structural.
+"""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+from plants import blocks
+from plants.errors import ScenarioError
+
+
+class Plant(Protocol):
+    """A nonlinear world, dx/dt = f(x, u, environment)."""
+
+    def derivative(self, x: Any, u: Any, env: Any) -> Any:
+        """dx/dt, a state-like tuple."""
+        ...
+
+    def output(self, x: Any, env: Any) -> Any:
+        """(ny,) what is to be controlled, in the units of the reference."""
+        ...
+
+    def project(self, x: Any) -> Any:
+        """The state brought back to its manifold after a step, such as a unit quaternion."""
+        ...
+
+
+class Sensors(Protocol):
+    """What is measured of the plant; its state holds biases."""
+
+    @property
+    def channels(self) -> int:
+        """Number of independent standard normal numbers that one sample takes."""
+        ...
+
+    def init(self) -> Any:
+        """State before the first sample."""
+        ...
+
+    def measure(self, s: Any, x: Any, env: Any, noise: Any, h: Any) -> tuple[Any, Any]:
+        """New state and measurement; `h` s have passed since the last sample, 0 at the first."""
+        ...
+
+
+class Navigator(Protocol):
+    """What is known of the plant: measurements in, an estimate of the plant's output out."""
+
+    def init(self) -> Any:
+        """State before the first measurement."""
+        ...
+
+    def update(self, s: Any, y: Any, u: Any, env: Any, h: Any) -> tuple[Any, Any]:
+        """New state and estimate (ny,); `u` acted for the `h` s since the last sample (0 at the first)."""
+        ...
+
+
+class Controller(Protocol):
+    """What to do about it: pure, called once every `dt` s."""
+
+    @property
+    def dt(self) -> Any:
+        """Control period, s."""
+        ...
+
+    def init(self) -> Any:
+        """State before the first call."""
+        ...
+
+    def step(self, state: Any, y: Any, r: Any) -> tuple[Any, Any]:
+        """New state and command (nu,) from the estimate y and the reference r, both (ny,)."""
+        ...
+
+
+class Actuator(Protocol):
+    """What comes of the command: limits, lags, distribution."""
+
+    def init(self) -> Any:
+        """State before the first command."""
+        ...
+
+    def apply(self, s: Any, command: Any, x: Any) -> tuple[Any, Any]:
+        """New state and the plant's input u."""
+        ...
+
+
+class Environment(Protocol):
+    """What the plant flies through, as a function of time alone."""
+
+    def at(self, t: Any) -> Any:
+        """A NamedTuple of arrays at time t, s."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loop:
+    """A closed loop. Without a navigator the controller sees the true output, without an actuator u = command."""
+
+    plant: Plant
+    controller: Controller
+    sensors: Sensors | None = None
+    navigator: Navigator | None = None
+    actuator: Actuator | None = None
+    delay: int = 0  # control periods between a command and its action
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """Everything else that defines a run: from where, through what, for how long, towards what, which noise."""
+
+    initial: Any  # plant state at t = 0
+    dt: float  # () s, control period
+    periods: int  # control periods in the run
+    samples: int = 1  # sensor samples per control period
+    steps: int = 1  # Runge-Kutta steps per sample
+    reference: ArrayLike | None = None  # (ny,) or (periods, ny) units of the output; zeros if absent
+    environment: Environment | None = None
+    seed: int = 0  # of the noise, shared by the runs of a campaign
+    run: int = 0  # index of the run: with the seed, the name of its noise
+    bound: float = 1e9  # () any unit; a state, estimate or command beyond it has diverged
+
+    @property
+    def h(self) -> float:
+        """Sampling period, s."""
+        return self.dt / self.samples
+
+
+jax.tree_util.register_dataclass(Loop, ["plant", "controller", "sensors", "navigator", "actuator"], ["delay"])
+jax.tree_util.register_dataclass(
+    Scenario,
+    ["initial", "dt", "reference", "environment", "seed", "run", "bound"],
+    ["periods", "samples", "steps"],
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """What came out, one row per sensor sample; a failed run holds the rows before its failure only.
+
+    `inputs` is what acted on the plant during the sample that starts at `time`.
+    """
+
+    time: np.ndarray  # (N,) s
+    states: Any  # plant state of (N, ...) arrays
+    outputs: np.ndarray  # (N, ny) true
+    estimates: np.ndarray  # (N, ny) as the controller sees them
+    references: np.ndarray  # (N, ny)
+    commands: np.ndarray  # (N, nu) as issued in this period
+    inputs: np.ndarray  # (N, m)
+    extra: Any  # what `record` returned, (N, ...) arrays
+    ok: bool
+    failed_at: float | None  # s, start of the control period in which it failed
+    culprit: str  # "controller", "plant" or "navigator"; "" if ok
+    compiled: bool  # whether the controller was compiled with the loop or stepped from Python
+
+
+def check(loop: Loop, scenario: Scenario) -> None:
+    """Raise `ScenarioError` naming the first unusable number of a case, and register its blocks with JAX."""
+    for name in ("periods", "samples", "steps"):
+        count = getattr(scenario, name)
+        if not isinstance(count, int) or count < 1:
+            raise ScenarioError(f"{name} = {count!r}: give a whole number of at least 1")
+    for name in ("dt", "bound"):
+        value = getattr(scenario, name)
+        if not (np.ndim(value) == 0 and np.isfinite(value) and value > 0):
+            raise ScenarioError(f"{name} = {value!r}: give a positive finite number")
+    if not isinstance(loop.delay, int) or loop.delay < 0:
+        raise ScenarioError(f"delay = {loop.delay!r}: give a whole number of control periods, at least 0")
+    if not np.isclose(float(loop.controller.dt), scenario.dt, rtol=1e-9, atol=0):
+        raise ScenarioError(
+            f"controller.dt = {loop.controller.dt} differs from scenario.dt = {scenario.dt}: design the "
+            "controller for the period at which it is called"
+        )
+    if loop.navigator is not None and loop.sensors is None:
+        raise ScenarioError("sensors = None: a navigator needs sensors; give both or neither")
+    blocks.register(dataclasses.replace(loop, controller=None))
+    blocks.register(scenario)
+    blocks.check_numbers(dataclasses.replace(loop, controller=None), "loop")
+    blocks.check_numbers(scenario, "scenario", finite=True)
+    with jax.enable_x64(True):
+        _check_shapes(loop, scenario)
+
+
+def env_at(scn: Scenario, t: Any) -> Any:
+    """The environment at time t, or None."""
+    return None if scn.environment is None else scn.environment.at(t)
+
+
+def output_shape(loop: Loop, scn: Scenario) -> Any:
+    """Shape of the plant's output."""
+    return jax.eval_shape(lambda p, s: p.output(jax.tree.map(jnp.asarray, s.initial), env_at(s, 0.0)), loop.plant, scn)
+
+
+def reference_at(loop: Loop, scn: Scenario, k: Any = None) -> Any:
+    """The reference of period k, (ny,), or as given when k is None."""
+    if scn.reference is None:
+        return jnp.zeros(output_shape(loop, scn).shape)
+    table = jnp.asarray(scn.reference, float)
+    return table if table.ndim == 1 or k is None else table[k]
+
+
+def _check_shapes(loop: Loop, scn: Scenario) -> None:
+    """Raise `ScenarioError` if reference or output do not fit."""
+    shape = output_shape(loop, scn).shape
+    if len(shape) != 1:
+        raise ScenarioError(f"plant.output has shape {shape}: return a vector")
+    if scn.reference is not None and np.shape(scn.reference) not in (shape, (scn.periods, *shape)):
+        raise ScenarioError(
+            f"reference has shape {np.shape(scn.reference)}: give {shape} or {(scn.periods, *shape)}, "
+            "as many columns as the plant has outputs"
+        )

@@ -1,0 +1,130 @@
+"""Sensors of attitude and rate: sun sensor, magnetometer, gyro, wheel tachometers.
+
+Each is the true quantity in body axes plus white noise, the same on the three axes and independent from sample
+to sample; the gyro adds a bias that walks. Sensors are aligned with the body and see in every direction.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from plants import attitude
+from plants.checks import real
+
+DUSK = 0.5  # () visible fraction of the Sun below which the sun sensor gives no direction
+
+
+class Measurement(NamedTuple):
+    """One sample of the attitude suite, body axes."""
+
+    sun: Array  # (3,) direction to the Sun, not normalised; zero when it is not seen
+    sun_seen: Array  # () 1 or 0
+    field: Array  # (3,) T
+    rate: Array  # (3,) rad/s, inertial
+    wheels: Array  # (n,) rad/s, wheel speeds, exact
+
+
+@dataclass(frozen=True, kw_only=True)
+class SunSensor:
+    """Direction to the Sun."""
+
+    noise: ArrayLike  # () rad, 1 sigma per axis
+
+    def measure(self, direction: Array, fraction: Array, noise: Array) -> tuple[Array, Array]:
+        """Direction (3,) in body axes, and whether the Sun is seen; a zero vector says that it is not."""
+        seen = (fraction >= DUSK).astype(float)
+        return seen * (direction + self.noise * noise), seen
+
+
+@dataclass(frozen=True, kw_only=True)
+class Magnetometer:
+    """Magnetic field."""
+
+    noise: ArrayLike  # () T, 1 sigma per axis
+
+    def measure(self, field: Array, noise: Array) -> Array:
+        """Field (3,) T in body axes."""
+        return field + self.noise * noise
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gyro:
+    """Inertial rate with a bias that walks."""
+
+    noise: ArrayLike  # () rad/s, 1 sigma per axis and sample
+    bias: ArrayLike  # (3,) rad/s, at the start
+    bias_walk: ArrayLike  # () rad/s/sqrt(s)
+
+    def measure(self, rate: Array, bias: Array, noise: Array) -> Array:
+        """Rate (3,) rad/s in body axes."""
+        return rate + bias + self.noise * noise
+
+
+@dataclass(frozen=True, kw_only=True)
+class AttitudeSuite:
+    """Sun sensor, magnetometer, gyro and tachometers, sampled together; its state is the gyro's bias (3,) rad/s.
+
+    The environment must give `B`, `sun`, `sunlit`, and the plant state `q`, `w`, `wheels`.
+    """
+
+    sun: SunSensor
+    magnetometer: Magnetometer
+    gyro: Gyro
+
+    @property
+    def channels(self) -> int:
+        """Normal numbers per sample."""
+        return 12
+
+    def init(self) -> Array:
+        """The gyro's bias at the start, (3,) rad/s."""
+        return jnp.asarray(self.gyro.bias)
+
+    def measure(self, s: Array, x: Any, env: Any, noise: Array, h: ArrayLike) -> tuple[Array, Measurement]:
+        """Measure the state x; the bias has walked for h s."""
+        bias = s + self.gyro.bias_walk * jnp.sqrt(h) * noise[9:12]
+        sun, seen = self.sun.measure(attitude.rotate(x.q, env.sun), env.sunlit, noise[0:3])
+        return bias, Measurement(
+            sun=sun,
+            sun_seen=seen,
+            field=self.magnetometer.measure(attitude.rotate(x.q, env.B), noise[3:6]),
+            rate=self.gyro.measure(x.w, bias, noise[6:9]),
+            wheels=x.wheels,
+        )
+
+
+def attitude_suite(
+    *,
+    sun_noise: float,
+    magnetometer_noise: float,
+    gyro_noise: float,
+    gyro_bias: ArrayLike = (0.0, 0.0, 0.0),
+    gyro_bias_walk: float = 0.0,
+) -> AttitudeSuite:
+    """The suite from its data sheet.
+
+    Parameters
+    ----------
+    sun_noise : () rad, 1 sigma per axis
+    magnetometer_noise : () T, 1 sigma per axis
+    gyro_noise : () rad/s, 1 sigma per axis at the sampling rate of the scenario
+    gyro_bias : (3,) rad/s
+    gyro_bias_walk : () rad/s/sqrt(s)
+
+    Raises
+    ------
+    ScenarioError
+        Wrong shape, NaN or a negative deviation.
+    """
+    return AttitudeSuite(
+        sun=SunSensor(noise=real("sun_noise", sun_noise, low=0)),
+        magnetometer=Magnetometer(noise=real("magnetometer_noise", magnetometer_noise, low=0)),
+        gyro=Gyro(
+            noise=real("gyro_noise", gyro_noise, low=0),
+            bias=real("gyro_bias", gyro_bias, (3,)),
+            bias_walk=real("gyro_bias_walk", gyro_bias_walk, low=0),
+        ),
+    )
