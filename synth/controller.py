@@ -1,0 +1,123 @@
+"""Controllers as plain data: what the simulator asks of them, and the linear ones.
+
+A controller is an object with `dt`, `init() -> state` and `step(state, y, r) -> (state, u)`. The state goes in and
+comes out; nothing is remembered in the object, so one controller serves any number of runs at once.
+
+Sign: the linear controllers act on the error e = r - y, the controller input of the tracking plant
+(Pecorilla and Stesina 2024, equation 27). That is the positive convention u = K e of `lft`: a K from `hinfsyn` on
+`GeneralizedPlant.tracking` is used as it is, without a minus sign.
+
+The steps are written with `@` alone, so the same lines run on NumPy arrays and inside a JAX transformation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from synth.errors import ModelError
+from synth.statespace import StateSpace, as_matrix, as_timebase
+
+
+class Controller(Protocol):
+    """What a sampled loop needs to know about a controller."""
+
+    @property
+    def dt(self) -> float:
+        """Sampling time in seconds."""
+        ...
+
+    def init(self) -> Any:
+        """The state before the first sample."""
+        ...
+
+    def step(self, state: Any, y: Any, r: Any) -> tuple[Any, Any]:
+        """The next state and the command, from the measurement `y` and the reference `r`. Pure."""
+        ...
+
+
+@dataclass(frozen=True)
+class LinearController:
+    """x+ = A x + B e, u = C x + D e with e = r - y (positive convention, equation 27).
+
+    Make one with `LinearController.of`, which checks. The fields are not checked here, so that the class can be
+    rebuilt from traced arrays.
+    """
+
+    A: np.ndarray  # (n, n)
+    B: np.ndarray  # (n, p)
+    C: np.ndarray  # (m, n)
+    D: np.ndarray  # (m, p)
+    dt: float  # s
+
+    def init(self) -> np.ndarray:
+        """The zero state, (n,)."""
+        return np.zeros(self.A.shape[-1])
+
+    def step(self, state: Any, y: Any, r: Any) -> tuple[Any, Any]:
+        """(state, y, r) -> (state, u) with state (n,), y and r (p,), u (m,)."""
+        e = r - y
+        return self.A @ state + self.B @ e, self.C @ state + self.D @ e
+
+    @classmethod
+    def of(cls, K: Any) -> LinearController:
+        """From a discrete StateSpace, `control.StateSpace` or (A, B, C, D, dt) whose input is e = r - y.
+
+        Raises
+        ------
+        ModelError : K is no state-space system or is continuous.
+        """
+        K = StateSpace.of(K)
+        if not K.discrete:
+            raise ModelError(f"K has dt = {K.dt}: a sampled loop steps discrete controllers; convert it with c2d first")
+        return cls(K.A, K.B, K.C, K.D, K.dt)
+
+
+def state_feedback(K: Any, dt: float) -> LinearController:
+    """The static controller u = K (r - y), a `LinearController` without states.
+
+    Parameters
+    ----------
+    K : (m, p) gain, units of u per unit of y
+    dt : sampling time in s, positive
+
+    Raises
+    ------
+    ModelError : K is no finite matrix or `dt` is no sampling time.
+    """
+    D = as_matrix("K", K)
+    m, p = D.shape
+    return LinearController.of(StateSpace(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((m, 0)), D, as_timebase(dt)))
+
+
+def proportional_derivative(inertia: Any, wn: float, zeta: float, dt: float) -> LinearController:
+    """Proportional-derivative attitude control u = -I (2 wn^2 q + 2 zeta wn w) on y = [q; w].
+
+    For small angles q is half the rotation vector, so every axis becomes th'' + 2 zeta wn th' + wn^2 th = 0.
+
+    Parameters
+    ----------
+    inertia : (3,) principal moments or (3, 3) matrix, kg m^2
+    wn : natural frequency in rad/s, positive
+    zeta : damping ratio, positive
+    dt : sampling time in s, positive
+
+    Returns
+    -------
+    LinearController : y and r are (6,), the quaternion's vector part and the body rate in rad/s; u is (3,) in N m,
+        the torque on the body.
+
+    Raises
+    ------
+    ModelError : a value is not positive, or the inertia is not symmetric positive definite.
+    """
+    J = np.diag(np.asarray(inertia, dtype=float)) if np.ndim(inertia) == 1 else inertia
+    J = as_matrix("inertia", J, (3, 3))
+    if not np.allclose(J, J.T, rtol=1e-12, atol=0) or np.linalg.eigvalsh(J)[0] <= 0:
+        raise ModelError(f"inertia is {J.tolist()}; pass a symmetric positive definite matrix in kg m^2")
+    for name, value in (("wn", wn), ("zeta", zeta)):
+        if not (np.isfinite(value) and value > 0):
+            raise ModelError(f"{name} is {value}; pass a positive number")
+    return state_feedback(np.hstack([2 * wn**2 * J, 2 * zeta * wn * J]), dt)

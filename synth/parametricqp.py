@@ -1,0 +1,188 @@
+"""Quadratic programs whose vectors are affine in measured data: taken out of CVXPY once, solved many times.
+
+    minimise  v'Pv/2 + f'v   subject to  lower <= [v; A v] <= upper,      [f; upper] = offset + slope phi
+
+`canonicalise` reads the matrices off the program CVXPY hands to its solver. `ParametricQp.solve` answers with the dual
+active-set method DAQP (Arnstrom, Bemporad and Axehill 2022, doi 10.1109/TAC.2022.3176430); if that gives up, with
+Clarabel's interior-point method.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+import daqp
+import numpy as np
+
+from synth.errors import NumericalError
+
+if TYPE_CHECKING:
+    import cvxpy as cp
+
+# The program is to be scaled to unit variables. No regularisation: the Hessian is to be positive definite.
+DAQP_SETTINGS = {"primal_tol": 1e-10, "eps_prox": 0.0}
+CLARABEL_SETTINGS = {"tol_gap_abs": 1e-13, "tol_gap_rel": 1e-13, "tol_feas": 1e-13}
+
+
+class Solution(NamedTuple):
+    """An optimum of a `ParametricQp`."""
+
+    v: np.ndarray  # (N,) variables
+    multipliers: np.ndarray  # (N + M,) positive at an upper limit, negative at a lower one
+    active: np.ndarray  # (N + M,) where the next solve starts: 1 at an upper limit, 3 at a lower one, as DAQP has it
+    solver: str  # "daqp" or "clarabel"
+
+
+@dataclass(frozen=True, eq=False)
+class ParametricQp:
+    """The program in N variables, of which N + M rows are limited: the variables, then the rows of A.
+
+    `solve` is a function of its arguments alone, to the last bit: DAQP starts from the working set it is given. The
+    object keeps DAQP's memory as a scratch pad, so one object serves one thread; copies and pickles get their own.
+
+    Raises
+    ------
+    NumericalError : the Hessian is not positive definite in double precision.
+    """
+
+    P: np.ndarray  # (N, N)
+    A: np.ndarray  # (M, N)
+    lower: np.ndarray  # (N + M,)
+    offset: np.ndarray  # (2 N + M,)
+    slope: np.ndarray  # (2 N + M, parameters)
+    workspace: daqp.Model = field(init=False, repr=False)
+
+    def __post_init__(self):
+        N = self.P.shape[0]
+        workspace = daqp.Model()
+        flag, _ = workspace.setup(self.P, self.offset[:N], self.A, self.offset[N:], self.lower, self.cold_start())
+        if flag < 0:
+            raise NumericalError(
+                f"DAQP rejects the program: the condition number of its Hessian is {np.linalg.cond(self.P):.1e};"
+                " weigh each variable enough to tell them apart",
+                {"daqp": str(flag)},
+            )
+        workspace.settings = DAQP_SETTINGS
+        object.__setattr__(self, "workspace", workspace)
+
+    def __reduce__(self):
+        return ParametricQp, (self.P, self.A, self.lower, self.offset, self.slope)
+
+    def cold_start(self) -> np.ndarray:
+        """The empty working set, (N + M,)."""
+        return np.zeros(self.lower.size, dtype=np.intc)
+
+    def vectors(self, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(f, upper) at the parameters `phi`."""
+        both, N = self.offset + self.slope @ phi, self.P.shape[0]
+        return both[:N], both[N:]
+
+    def solve(self, phi: np.ndarray, active: np.ndarray) -> Solution:
+        """The optimum for the parameters `phi`: by DAQP from the working set `active`, else by Clarabel.
+
+        Raises
+        ------
+        NumericalError : both fail; the statuses say how.
+        """
+        f, upper = self.vectors(phi)
+        flag = self.workspace.update(f=f, bupper=upper, blower=self.lower, sense=active)
+        if flag == 0:
+            v, _, flag, info = self.workspace.solve()
+            if flag == 1:
+                y = info["lam"]
+                return Solution(v, y, (y > 0) + np.intc(3) * (y < 0), "daqp")
+        v, y, status = self.solve_clarabel(f, upper)
+        if status != "Solved":
+            raise NumericalError(
+                "neither DAQP nor Clarabel solved the program", {"daqp": str(flag), "clarabel": status}
+            )
+        return Solution(v, y, self.cold_start(), "clarabel")
+
+    def solve_clarabel(self, f: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray, str]:
+        """(v, multipliers, status) by an interior-point method."""
+        import clarabel
+        import scipy.sparse as sp
+
+        above, below = np.isfinite(upper), np.isfinite(self.lower)
+        rows = np.vstack([np.eye(f.size), self.A])
+        b = np.concatenate([upper[above], -self.lower[below]])
+        settings = clarabel.DefaultSettings()  # pyright: ignore[reportAttributeAccessIssue]
+        settings.verbose = False
+        for name, value in CLARABEL_SETTINGS.items():
+            setattr(settings, name, value)
+        cones = [clarabel.NonnegativeConeT(b.size)]  # pyright: ignore[reportAttributeAccessIssue]
+        solver = clarabel.DefaultSolver(  # pyright: ignore[reportAttributeAccessIssue]
+            sp.csc_array(np.triu(self.P)), f, sp.csc_array(np.vstack([rows[above], -rows[below]])), b, cones, settings
+        )
+        solution = solver.solve()
+        z, y = np.asarray(solution.z), np.zeros(upper.size)
+        y[above] += z[: above.sum()]
+        y[below] -= z[above.sum() :]
+        return np.asarray(solution.x), y, str(solution.status)
+
+
+def canonicalise(problem: cp.Problem, phi: cp.Parameter, variables: list[cp.Variable]) -> ParametricQp:
+    """The quadratic program in `variables`, all others eliminated by the equality constraints that define them.
+
+    Read off at phi = 0 and at each unit vector, then checked at another point.
+
+    Parameters
+    ----------
+    problem : a quadratic program whose only parameter is the vector `phi`
+    variables : vectors that determine all others through equality constraints
+
+    Raises
+    ------
+    NumericalError : the program's matrices depend on `phi`, its vectors do so in a way that is not affine, or the
+        equality constraints do not determine the other variables.
+    """
+
+    def reduced(value: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(P, A, [f; b]) of: minimise v'Pv/2 + f'v subject to A v <= b."""
+        phi.value = value
+        data = problem.get_problem_data("CLARABEL")[0]
+        P, c, W, b = data["P"].toarray(), data["c"], data["A"].toarray(), data["b"]
+        columns = data["param_prob"].var_id_to_col
+        own = np.concatenate([columns[v.id] + np.arange(v.size) for v in variables])
+        other = np.setdiff1d(np.arange(c.size), own)
+        equal, below = slice(0, data["dims"].zero), slice(data["dims"].zero, None)
+        if data["dims"].zero != other.size:
+            raise NumericalError(
+                f"{data['dims'].zero} equations for {other.size} dependent variables: they are not determined"
+            )
+        solved = np.linalg.solve(W[equal, other], np.column_stack([W[equal, own], b[equal]]))
+        N, w0 = np.zeros((c.size, own.size)), np.zeros(c.size)  # all variables: w = N v + w0
+        N[own], N[other], w0[other] = np.eye(own.size), -solved[:, :-1], solved[:, -1]
+        return N.T @ P @ N, W[below] @ N, np.concatenate([N.T @ (P @ w0 + c), b[below] - W[below] @ w0])
+
+    P, A, offset = reduced(np.zeros(phi.size))
+    slope = np.column_stack([reduced(e)[2] - offset for e in np.eye(phi.size)])
+    probe = np.random.default_rng(0).standard_normal(phi.size)
+    P1, A1, both = reduced(probe)
+    scale = np.max(np.abs(offset) + np.abs(slope) @ np.abs(probe))
+    affine = np.abs(both - offset - slope @ probe).max() <= 1e-9 * scale
+    if not (np.array_equal(P, P1) and np.array_equal(A, A1) and affine):
+        raise NumericalError("CVXPY's program is not affine in its parameter: check the scale of the data")
+    return split_bounds((P + P.T) / 2, A, offset, slope)
+
+
+def split_bounds(P: np.ndarray, A: np.ndarray, offset: np.ndarray, slope: np.ndarray) -> ParametricQp:
+    """Rows that bound one variable by a constant become bounds of that variable."""
+    N = P.shape[0]
+    simple = (np.count_nonzero(A, axis=1) == 1) & ~slope[N:].any(axis=1)
+    lower, upper = np.full(N, -np.inf), np.full(N, np.inf)
+    for row, b in zip(A[simple], offset[N:][simple], strict=True):
+        i = int(np.flatnonzero(row)[0])
+        if row[i] > 0:
+            upper[i] = min(upper[i], b / row[i])
+        else:
+            lower[i] = max(lower[i], b / row[i])
+    rest = ~simple
+    return ParametricQp(
+        P=P,
+        A=np.ascontiguousarray(A[rest]),
+        lower=np.concatenate([lower, np.full(rest.sum(), -np.inf)]),
+        offset=np.concatenate([offset[:N], upper, offset[N:][rest]]),
+        slope=np.vstack([slope[:N], np.zeros((N, slope.shape[1])), slope[N:][rest]]),
+    )
