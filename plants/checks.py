@@ -6,17 +6,19 @@ the rest needs concrete numbers and is skipped inside `jit`, `vmap` and `grad`, 
 
 from typing import Any
 
-import jax
 import numpy as np
 from jax import Array
+from jax.core import Tracer
 
 from plants.errors import ScenarioError
+
+Numbers = np.ndarray | Array  # what the fields of a plant hold
 
 
 def real(
     name: str, value: Any, shape: tuple[int | None, ...] = (), *, low: float | None = None, infinite: bool = False
-) -> np.ndarray | Array:
-    """Float64 array of the given shape; concrete values become NumPy arrays, traced ones stay as they are.
+) -> Any:
+    """Float64 array of the given shape: concrete values come back as NumPy arrays, traced ones as they are.
 
     Parameters
     ----------
@@ -31,7 +33,7 @@ def real(
     ScenarioError
         Wrong shape, not real numbers, NaN or infinity, below `low`; a traced value that is not float64.
     """
-    traced = isinstance(value, jax.core.Tracer)
+    traced = isinstance(value, Tracer)
     if traced and value.dtype != np.float64:
         raise ScenarioError(f"{name} is traced as {value.dtype}: enter `jax.enable_x64(True)` around the call")
     try:

@@ -15,7 +15,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from plants.attitude import cross, dot, rotate
-from plants.checks import real
+from plants.checks import Numbers, real
 from plants.environment import OrbitEnv
 from plants.orbit import MU
 
@@ -63,7 +63,7 @@ class GravityGradient:
 class ResidualDipole:
     """m x B of a magnetic moment fixed in the body."""
 
-    moment: ArrayLike  # (3,) A m^2
+    moment: Numbers  # (3,) A m^2
 
     @classmethod
     def create(cls, moment: ArrayLike) -> "ResidualDipole":
@@ -85,9 +85,9 @@ class Drag:
     and A_i d_i is the same for all three.
     """
 
-    size: ArrayLike  # (3,) m, edges along the body axes
-    mass_centre: ArrayLike  # (3,) m, centre of mass from the centre of the box
-    coefficient: ArrayLike  # ()
+    size: Numbers  # (3,) m, edges along the body axes
+    mass_centre: Numbers  # (3,) m, centre of mass from the centre of the box
+    coefficient: Numbers  # ()
 
     @classmethod
     def create(cls, size: ArrayLike, mass_centre: ArrayLike, coefficient: ArrayLike) -> "Drag":
@@ -115,9 +115,9 @@ class SolarPressure:
     3.4 % over the year).
     """
 
-    size: ArrayLike  # (3,) m, edges along the body axes
-    mass_centre: ArrayLike  # (3,) m, centre of mass from the centre of the box
-    coefficient: ArrayLike  # ()
+    size: Numbers  # (3,) m, edges along the body axes
+    mass_centre: Numbers  # (3,) m, centre of mass from the centre of the box
+    coefficient: Numbers  # ()
 
     @classmethod
     def create(cls, size: ArrayLike, mass_centre: ArrayLike, coefficient: ArrayLike) -> "SolarPressure":
@@ -132,7 +132,7 @@ class SolarPressure:
         """Torque (3,) N m."""
         del inertia
         area = dot(_faces(self.size), jnp.abs(seen.sun))
-        force = SOLAR_PRESSURE * self.coefficient * seen.sunlit * area  # against the direction to the Sun
+        force = SOLAR_PRESSURE * self.coefficient * (seen.sunlit * area)  # against the direction to the Sun
         return force * cross(self.mass_centre, seen.sun)
 
 
@@ -141,7 +141,7 @@ class SolarPressure:
 class ConstantTorque:
     """A torque that is constant in body axes, such as a leak."""
 
-    vector: ArrayLike  # (3,) N m
+    vector: Numbers  # (3,) N m
 
     @classmethod
     def create(cls, vector: ArrayLike) -> "ConstantTorque":

@@ -13,7 +13,7 @@ cone of a spherical Earth whose limb is taken as straight across the solar disc.
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import erfa
 import jax
@@ -25,7 +25,7 @@ from jax.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from plants import attitude, orbit
-from plants.checks import real
+from plants.checks import Numbers, real
 from plants.errors import ScenarioError
 from plants.orbit import EARTH_RADIUS, Orbit
 
@@ -45,12 +45,6 @@ class OrbitEnv(NamedTuple):
     density: Array  # () kg/m^3, air
     q_ON: Array  # (4,) attitude of frame O relative to N
     w_ON: Array  # (3,) rad/s, inertial rate of frame O in the axes of O
-
-
-class Surroundings(Protocol):
-    """Anything that knows the surroundings at a time t (s), inside compiled code."""
-
-    def at(self, t: ArrayLike, /) -> OrbitEnv: ...  # noqa: D102
 
 
 class Atmosphere(NamedTuple):
@@ -75,7 +69,7 @@ class Environment:
     A batch of environments (leading axes of `splines`) is used through `vmap`.
     """
 
-    splines: ArrayLike  # (..., n, 4, 21) cubic coefficients of every interval, lowest power first
+    splines: Numbers  # (..., n, 4, 21) cubic coefficients of every interval, lowest power first
     step: float  # () s, length of an interval
     duration: float  # () s, from the epoch
 
@@ -122,7 +116,8 @@ class Environment:
 
     def at(self, t: ArrayLike) -> OrbitEnv:
         """Surroundings at t () s; all NaN outside [0, duration]."""
-        splines, place = jnp.asarray(self.splines), jnp.asarray(t) / self.step
+        splines, t = jnp.asarray(self.splines), jnp.asarray(t)
+        place = t / self.step
         i = jnp.clip(jnp.floor(place).astype(int), 0, splines.shape[0] - 1)
         known = (t >= 0) & (t <= self.duration * (1 + 1e-12))
         s, c = jnp.where(known, place - i, jnp.nan), splines[i]
@@ -138,9 +133,9 @@ class Environment:
 class CircularEnvironment:
     """Ideal circular two-body orbit and its frame O; field, Sun and air are not modelled (NaN)."""
 
-    r: ArrayLike  # (3,) m, N, at t = 0
-    v: ArrayLike  # (3,) m/s, N, at t = 0
-    q_ON: ArrayLike  # (4,) attitude of frame O at t = 0
+    r: Numbers  # (3,) m, N, at t = 0
+    v: Numbers  # (3,) m/s, N, at t = 0
+    q_ON: Numbers  # (4,) attitude of frame O at t = 0
 
     @classmethod
     def along(cls, start: Orbit) -> "CircularEnvironment":
@@ -225,7 +220,7 @@ def visible_fraction(angle: ArrayLike) -> Array:
 
 
 def _without_jumps(q: np.ndarray) -> np.ndarray:
-    """q (..., n, 4) with the signs along n chosen so that neighbours are close."""
+    """The same q (..., n, 4) with signs such that neighbours along n are close."""
     same = np.sum(q[..., 1:, :] * q[..., :-1, :], axis=-1) > 0
     signs = np.cumprod(np.where(same, 1.0, -1.0), axis=-1)
     return np.concatenate([q[..., :1, :], signs[..., None] * q[..., 1:, :]], axis=-2)

@@ -154,4 +154,5 @@ def _propagate(r: Array, v: Array, h: ArrayLike, points: int, substeps: int) -> 
         return jax.lax.scan(step, state, None, length=substeps)[0], state
 
     last, states = jax.lax.scan(point, (r, v), None, length=points)
-    return tuple(jnp.concatenate([many, one[None]]) for many, one in zip(states, last, strict=True))
+    r, v = (jnp.concatenate([many, one[None]]) for many, one in zip(states, last, strict=True))
+    return r, v

@@ -17,10 +17,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from plants import attitude
-from plants.checks import real
+from plants.checks import Numbers, real
 from plants.disturbances import Disturbance, seen_from
 from plants.environment import OrbitEnv
 from plants.errors import ScenarioError
@@ -47,10 +48,10 @@ class RigidBody:
     calls it with tracers.
     """
 
-    inertia: ArrayLike  # (3, 3) kg m^2, wheels included
-    inverse: ArrayLike  # (3, 3) 1/(kg m^2), of I - G Js G'
-    wheel_axes: ArrayLike  # (3, n) unit spin axes in body axes, as columns
-    wheel_inertia: ArrayLike  # (n,) kg m^2, about the spin axes
+    inertia: Numbers  # (3, 3) kg m^2, wheels included
+    inverse: Numbers  # (3, 3) 1/(kg m^2), of I - G Js G'
+    wheel_axes: Numbers  # (3, n) unit spin axes in body axes, as columns
+    wheel_inertia: Numbers  # (n,) kg m^2, about the spin axes
     disturbances: tuple[Disturbance, ...]
 
     @classmethod
@@ -84,7 +85,7 @@ class RigidBody:
         n = G.shape[1]
         Js = real("wheel_inertia", np.zeros(0) if wheel_inertia is None else wheel_inertia, (n,))
         rest = I - (G * Js) @ G.T
-        if isinstance(rest, jax.core.Tracer):
+        if isinstance(rest, Tracer):
             inverse = jnp.linalg.inv(rest)
         else:
             _check(I, G, Js, rest)
@@ -100,8 +101,8 @@ class RigidBody:
         u : (n,) N m, torques of the motors on the wheels; without wheels (3,) N m, torque on the body
         env : surroundings
         """
-        G = jnp.asarray(self.wheel_axes)
-        control = -(G @ u) if G.shape[1] else jnp.asarray(u)
+        G, u = jnp.asarray(self.wheel_axes), jnp.asarray(u)
+        control = -(G @ u) if G.shape[1] else u
         torque = self.disturbance_torque(x.q, env) - attitude.cross(x.w, self.momentum(x)) + control
         dw = self.inverse @ torque  # Equation 3
         spin = u / self.wheel_inertia - G.T @ dw if G.shape[1] else jnp.asarray(x.wheels)
@@ -109,7 +110,8 @@ class RigidBody:
 
     def momentum(self, x: BodyState) -> Array:
         """Angular momentum I w + G Js Om in body axes, (3,) N m s. Equation 2."""
-        return self.inertia @ x.w + self.wheel_axes @ (self.wheel_inertia * x.wheels)
+        I, G = jnp.asarray(self.inertia), jnp.asarray(self.wheel_axes)
+        return I @ x.w + G @ (self.wheel_inertia * jnp.asarray(x.wheels))
 
     def disturbance_torque(self, q: ArrayLike, env: OrbitEnv) -> Array:
         """Sum of the disturbances at attitude q (4,) relative to frame N: (3,) N m in body axes."""
