@@ -12,15 +12,17 @@ axis by axis, as table 5 has it, may violate the triangle inequality of real bod
 """
 
 from datetime import datetime
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jax import Array
 from jax.typing import ArrayLike
 from scipy.linalg import expm
 
 from plants import attitude, navigation, orbit, sensors
 from plants.actuators import ReactionWheels
+from plants.checks import real
 from plants.disturbances import Disturbance, Drag, GravityGradient, ResidualDipole, SolarPressure
 from plants.environment import CircularEnvironment, Environment
 from plants.errors import ScenarioError
@@ -160,25 +162,21 @@ def environment(duration: float, *, raan: ArrayLike = RAAN, step: float = 10.0) 
     return Environment.along(start, EPOCH, duration, step=step)
 
 
-def initial_state(
-    surroundings: Environment,
-    angles: ArrayLike = ANGLES,
-    rates: ArrayLike = RATES,
-    wheel_speeds: ArrayLike = np.zeros(3),
-) -> BodyState:
-    """State at t = 0 from attitude and rate relative to the orbital frame, NumPy.
+def initial_state(surroundings: Environment, angles: ArrayLike = ANGLES, rates: ArrayLike = RATES) -> BodyState:
+    """State at t = 0 with wheels at rest, NumPy.
 
     Parameters
     ----------
     surroundings : gives the orbital frame at t = 0; one, not a batch
     angles : (3,) rad, roll, pitch, yaw of q_OB; table 3 by default
     rates : (3,) rad/s, w_OB; table 3 by default
-    wheel_speeds : (3,) rad/s
+
+    Raises
+    ------
+    ScenarioError
+        Wrong shapes or NaN.
     """
-    with jax.enable_x64(True):
-        speeds = np.asarray(wheel_speeds, float)
-        x = state_from(attitude.from_euler(np.asarray(angles)), rates, speeds, surroundings.at(0.0))
-        return BodyState(*(np.asarray(part) for part in x))
+    return _state_at_start(surroundings, real("angles", angles, (3,)), real("rates", rates, (3,)), np.zeros(3))
 
 
 def disperse(seed: int, index: int) -> Dispersion:
@@ -208,8 +206,7 @@ def continuous_model() -> LinearModel:
     """
     surroundings = CircularEnvironment.along(orbit.circular(ALTITUDE, INCLINATION, RAAN, ARGUMENT_OF_LATITUDE))
     plant = RigidBody.create(np.diag(INERTIA), disturbances=(GravityGradient(),))
-    with jax.enable_x64(True):
-        x = state_from(np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(0), surroundings.at(0.0))
+    x = _state_at_start(surroundings, np.zeros(3), np.zeros(3), np.zeros(0))
     return linearize(plant, x, np.zeros(3), surroundings)
 
 
@@ -221,3 +218,15 @@ def linear_model(dt: float = CONTROL_PERIOD) -> LinearModel:
     n, m = B.shape
     block = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * dt)
     return LinearModel(block[:n, :n], block[:n, n:], C, D)
+
+
+def _state_at_start(surroundings: Any, angles: np.ndarray, rates: np.ndarray, speeds: np.ndarray) -> BodyState:
+    """State at t = 0 from q_OB as Euler angles, w_OB and wheel speeds."""
+    with jax.enable_x64(True):
+        x = _place(surroundings, angles, rates, speeds)
+    return BodyState(*(np.asarray(part) for part in x))
+
+
+@jax.jit
+def _place(surroundings: Any, angles: Array, rates: Array, speeds: Array) -> BodyState:
+    return state_from(attitude.from_euler(angles), rates, speeds, surroundings.at(0.0))

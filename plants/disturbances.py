@@ -103,7 +103,7 @@ class Drag:
         del inertia
         speed_times_area = dot(_faces(self.size), jnp.abs(seen.wind))
         pressure = 0.5 * seen.density * self.coefficient * speed_times_area
-        return pressure * cross(self.mass_centre, seen.wind)
+        return cross(pressure * self.mass_centre, seen.wind)
 
 
 @partial(jax.tree_util.register_dataclass, data_fields=["size", "mass_centre", "coefficient"], meta_fields=[])
@@ -133,7 +133,7 @@ class SolarPressure:
         del inertia
         area = dot(_faces(self.size), jnp.abs(seen.sun))
         force = SOLAR_PRESSURE * self.coefficient * (seen.sunlit * area)  # against the direction to the Sun
-        return force * cross(self.mass_centre, seen.sun)
+        return cross(force * self.mass_centre, seen.sun)
 
 
 @partial(jax.tree_util.register_dataclass, data_fields=["vector"], meta_fields=[])
