@@ -18,14 +18,15 @@ import numpy as np
 import scipy.linalg as sla
 
 from synth.doubling import Riccati, bounded_real, is_nonnegative, is_positive, solve_riccati
-from synth.errors import InfeasibleError, NumericalError
+from synth.errors import InfeasibleError, NumericalError, VerificationError
 from synth.generalized import GeneralizedPlant
-from synth.norms import balance, confirm, hinfnorm, is_stable, spectral_radius
+from synth.norms import balance, confirm, hinfnorm, is_stable
 from synth.precondition import Conditioned
 from synth.statespace import StateSpace
 
 REGULARISATIONS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # of plants without a regular solution, relative to the scaled plant
 MARGINS = tuple(1e-5 * 4**k for k in range(7))  # central controller above the optimal level, tried in this order
+NEAR_BEST = 1e-4  # relative: of the verified designs this near the lowest level the most regularised is taken
 LOWEST, HIGHEST = 1e-9, 1e9  # levels searched, scaled plant
 
 
@@ -34,7 +35,7 @@ class RiccatiDesign(NamedTuple):
 
     controller: StateSpace  # u = K y for the scaled plant, (nu x ny)
     gamma: float  # proven by the bounded-real equation for this controller
-    gamma_opt: float  # lowest feasible level found (of the regularised plant where one was needed)
+    gamma_opt: float  # lowest level found feasible, with any regularisation
     regularisation: float  # appended to z and w, 0 for regular plants
     evaluations: int  # pairs of Riccati equations solved
     rcond_X: float  # reciprocal condition of R + B'X B in the control equation
@@ -73,20 +74,22 @@ def riccati_hinf(c: Conditioned, gamma: float | None = None, tol: float = 1e-7) 
     for epsilon in (0.0, *REGULARISATIONS):
         P = regularised(c.plant, epsilon)
         try:
-            optimum, below, evaluations = search(P, c.X, c.Y, tol)
-            design = _verified(c, P, optimum, gamma, epsilon, evaluations)
+            optimum, below, count = search(P, c.X, c.Y, tol)
+            designs.append(_verified(c, P, optimum, gamma, epsilon, count))
         except NumericalError as error:
             statuses[f"regularisation {epsilon:g}"] = str(error)
             continue
-        designs.append(design)
-        if epsilon == 0 and _regular(c):
+        if gamma is not None and designs[-1].gamma <= gamma:
+            return designs[-1]
+        if epsilon == 0 and _trusted(c, optimum, below):
             break
     if not designs:
         raise NumericalError("no Riccati route led to a verified controller", statuses)
-    best = min(designs, key=lambda d: d.gamma)
-    if gamma is not None and best.gamma > gamma * (1 + MARGINS[0]):
-        raise InfeasibleError(f"no controller reaches {gamma:.6g}; the lowest verified level is {best.gamma:.6g}", best.gamma)
-    return best
+    lowest, floor = min(d.gamma for d in designs), min(min(d.gamma, d.gamma_opt) for d in designs)
+    if gamma is not None:
+        raise InfeasibleError(f"no controller reached {gamma:.6g}; the lowest verified level is {lowest:.6g}", lowest)
+    best = next(d for d in designs if d.gamma <= lowest * (1 + NEAR_BEST))
+    return best._replace(gamma_opt=floor)
 
 
 def regularised(P: GeneralizedPlant, epsilon: float) -> GeneralizedPlant:
@@ -105,6 +108,7 @@ def regularised(P: GeneralizedPlant, epsilon: float) -> GeneralizedPlant:
 
 def parrott(P: GeneralizedPlant) -> float:
     """Level below which no controller can go, whatever its direct term: the parts of D11 out of reach of u and y."""
+
     def complement(D):
         return sla.null_space(D.T) if np.any(D) else np.eye(len(D))
 
@@ -175,8 +179,8 @@ def central_controller(P: GeneralizedPlant, s: Solutions) -> StateSpace | None:
     return StateSpace(Pt.A + P.B2 @ F2 - B @ Pt.C2, B, C, D, P.dt)
 
 
-def search(P: GeneralizedPlant, X0: np.ndarray, Y0: np.ndarray, tol: float = 1e-7) -> tuple[Solutions, float, int]:
-    """Lowest feasible level, the infeasible level next to it, and how many levels were tried.
+def search(P: GeneralizedPlant, X0: np.ndarray, Y0: np.ndarray, tol: float = 1e-7) -> tuple[Solutions, Solutions, int]:
+    """Solutions at the lowest feasible level and at the infeasible one next to it, and how many levels were tried.
 
     Secant on the logarithm of the coupling inside a bracket; bisection where the existence of X or Y binds.
 
@@ -202,7 +206,7 @@ def search(P: GeneralizedPlant, X0: np.ndarray, Y0: np.ndarray, tol: float = 1e-
             high, weight = trial, weight / 2
         else:
             low, weight = trial, 1.0
-    return high, low.gamma, count
+    return high, low, count
 
 
 def _next_level(low: Solutions, high: Solutions, weight: float, tol: float) -> float:
@@ -219,39 +223,47 @@ def _next_level(low: Solutions, high: Solutions, weight: float, tol: float) -> f
 def _verified(
     c: Conditioned, P: GeneralizedPlant, optimum: Solutions, gamma: float | None, epsilon: float, evaluations: int
 ) -> RiccatiDesign:
-    """Central controller of P (regularised) just above its optimum, verified on the plant of c."""
-    for margin in MARGINS:
-        level = max(optimum.gamma * (1 + margin), gamma or 0.0)
+    """Central controller of P (regularised) at gamma or just above the optimum, verified on the plant of c."""
+    levels = [(optimum.gamma * (1 + d), optimum.gamma * (1 + 1.01 * d)) for d in MARGINS]  # of controller, of proof
+    if gamma is not None and gamma > levels[0][1]:
+        levels = [(gamma / (1 + 1e-6), gamma), *(pair for pair in levels if pair[1] <= gamma)]
+    for level, proof in levels:
         s = solve_level(P, level, c.X, c.Y)
         K = central_controller(P, s)
         evaluations += 1
         if K is None or s.X is None or s.Y is None:
             continue
-        proven = _proven_level(c.plant.close(K), level * (1 + 0.01 * margin), measure=epsilon > 0)
-        if proven is not None:
-            rcond_X, rcond_Y = 1 / np.linalg.cond(s.X.R), 1 / np.linalg.cond(s.Y.R)
-            return RiccatiDesign(K, proven, optimum.gamma, epsilon, evaluations, rcond_X, rcond_Y, s.coupling)
+        G = balance(c.plant.close(K))
+        if not is_stable(G) or bounded_real(G, proof) is None:
+            continue
+        if epsilon > 0 and gamma is None:  # without the regularisation the norm is lower
+            proof = _measured(G, proof)
+        rcond_X, rcond_Y = (float(1 / np.linalg.cond(r.R)) for r in (s.X, s.Y))
+        return RiccatiDesign(K, proof, optimum.gamma, epsilon, evaluations, rcond_X, rcond_Y, s.coupling)
     raise NumericalError(f"no central controller near level {optimum.gamma:.6g} passed its verification")
 
 
-def _proven_level(closed_loop: StateSpace, level: float, *, measure: bool) -> float | None:
-    """`level`, or with `measure` the norm itself, when the bounded-real equation confirms it."""
-    G = balance(closed_loop)
-    if not is_stable(G) or bounded_real(G, level) is None:
-        return None
-    return min(level, confirm(G, hinfnorm(G)[0])) if measure else level
+def _measured(G: StateSpace, proof: float) -> float:
+    """The lowest level that the bounded-real equation confirms, from one that it does."""
+    try:
+        return min(proof, confirm(G, hinfnorm(G)[0]))
+    except VerificationError:  # a norm at rounding level
+        while proof > LOWEST and bounded_real(G, proof / 2) is not None:
+            proof /= 2
+        return proof
 
 
-def _regular(c: Conditioned) -> bool:
-    """True when D12 and D21 act like full rank: LQR and Kalman without regularisation are well conditioned."""
-    P = c.plant
-    for A, B, C, D, start in ((P.A, P.B2, P.C1, P.D12, c.X), (P.A.T, P.C2.T, P.B1.T, P.D21.T, c.Y)):
-        s = solve_riccati(A, B, C.T @ C, D.T @ D, C.T @ D, start=start)
-        if s is None or not is_positive(s.R) or np.linalg.cond(s.R) > 1e9:
-            return False
-        if spectral_radius(A + B @ s.F) > 1 - 1e-7:
-            return False
-    return True
+def _trusted(c: Conditioned, optimum: Solutions, below: Solutions) -> bool:
+    """True when the optimum found without regularisation needs no second opinion.
+
+    Either it is the Parrott bound, or the coupling crosses one between two levels at which both solutions exist and
+    a slightly regularised plant, whose controllers serve the plant itself, is not feasible lower down either.
+    """
+    if optimum.gamma <= parrott(c.plant) * (1 + MARGINS[0]):
+        return True
+    if not np.isfinite(below.coupling):
+        return False
+    return not solve_level(regularised(c.plant, 1e-5), optimum.gamma * (1 - 1e-4), c.X, c.Y).feasible
 
 
 def _worst_case(R: np.ndarray, nw: int) -> np.ndarray:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg as sla
 
-from synth.doubling import Riccati, is_positive, solve_riccati
+from synth.doubling import Riccati, is_nonnegative, is_positive, solve_riccati
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.generalized import GeneralizedPlant
 from synth.statespace import StateSpace
@@ -223,7 +223,7 @@ def _lqr(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, assumption:
             except (np.linalg.LinAlgError, ValueError):
                 continue
             solution = solve_riccati(A, B, Qe, Re, S, start=X)
-        if solution and is_positive(solution.R) and is_positive(solution.X) and _radius(A + B @ solution.F) < 1:
+        if solution and is_positive(solution.R) and is_nonnegative(solution.X) and _radius(A + B @ solution.F) < 1:
             return solution
     raise NumericalError(
         f"no stabilising gain was found: {assumption} holds so weakly that double precision cannot use it; "
@@ -243,19 +243,21 @@ def _inverse_root(M: np.ndarray) -> np.ndarray:
 
 def _lqg_balancing(X: np.ndarray, Y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """T and its inverse with T'X T = T^-1 Y T^-T diagonal, as far as the floor allows."""
-    Lx, Ly = np.linalg.cholesky(X), np.linalg.cholesky(Y)
+    Lx, Ly = _factor(X), _factor(Y)
     _, s, Vt = np.linalg.svd(Lx.T @ Ly)
     root = np.sqrt(np.maximum(s, FLOOR * s.max(initial=0.0)))
     return Ly @ Vt.T / root, root[:, None] * (Vt @ np.linalg.inv(Ly))
 
 
+def _factor(M: np.ndarray) -> np.ndarray:
+    """L with L L' = M up to the floor, invertible."""
+    e, V = np.linalg.eigh(M)
+    return V * np.sqrt(np.maximum(e, FLOOR**2 * e[-1:]))
+
+
 def _peak(G: StateSpace) -> float:
     """Rough H-infinity norm: the largest gain at 0, Nyquist and the angles of the least damped poles."""
-    Tr, Z = sla.schur(G.A, output="complex")[:2]
-    B, C, poles = Z.conj().T @ G.B, G.C @ Z, np.diag(Tr)
-    angles = np.abs(np.angle(poles[np.argsort(-np.abs(poles))[:30]]))
-    gains = []
-    for angle in np.unique(np.concatenate([[0.0, np.pi], angles])):
-        x = sla.solve_triangular(np.exp(1j * angle) * np.eye(G.n) - Tr, B) if G.n else B
-        gains.append(np.linalg.norm(C @ x + G.D, 2))
-    return float(max(gains))
+    poles = G.poles()
+    angles = np.concatenate([[0.0, np.pi], np.angle(poles[np.argsort(-np.abs(poles))[:12]])])
+    circle = np.exp(1j * np.abs(angles))[:, None, None] * np.eye(G.n)
+    return float(np.linalg.norm(G.C @ np.linalg.solve(circle - G.A, G.B[None]) + G.D, 2, axis=(1, 2)).max())
