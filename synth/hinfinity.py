@@ -161,14 +161,14 @@ def best_of(
                 try:
                     found = judged(K, level)
                 except SynthError as error:
-                    failures[f"{type(route).__name__} at {level:.9g}"] = str(error)
+                    failures[f"attempt {len(failures) + 1}, level {level:.9g}"] = str(error)
                     continue
                 if best is None or found.measured.norm < best.measured.norm:
                     best = found
                 if found.measured.norm <= (1 + CLOSE) * found.level:
                     return best
         except NumericalError as error:
-            failures[f"{type(route).__name__} at {level:.9g}"] = str(error)
+            failures[f"attempt {len(failures) + 1}, level {level:.9g}"] = str(error)
     return best
 
 

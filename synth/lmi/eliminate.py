@@ -20,6 +20,8 @@ from synth.lmi.loops import recover
 from synth.lmi.solve import BACKOFF, TOLERANCE, solve, staircase
 from synth.statespace import StateSpace
 
+LARGEST = 1e5  # bound on the eigenvalues of R and S in balanced coordinates, where their natural size is one
+
 
 def existence(plant: GeneralizedPlant, R: Any, S: Any, g: Any) -> list[cp.Expression]:
     """Matrices that are positive semidefinite if some controller of the plant's order reaches the level `g`.
@@ -47,20 +49,25 @@ def existence(plant: GeneralizedPlant, R: Any, S: Any, g: Any) -> list[cp.Expres
     return [NR.T @ control @ NR, NS.T @ sensing @ NS, staircase([[R, np.eye(n)], [S]])]
 
 
-def controllers(plant: GeneralizedPlant, R: np.ndarray, S: np.ndarray, g: float) -> Iterator[StateSpace]:
-    """Controllers for a feasible (R, S) at the level `g`: seed LMI (20) with X1 = S, Y1 = R solved for its rest.
+def controller(plant: GeneralizedPlant, R: np.ndarray, S: np.ndarray, g: float) -> StateSpace:
+    """The central controller for a feasible (R, S) at the level `g`.
 
-    The matrix is M0 + U Theta V' + V Theta' U' with Theta = [[An, Bn], [Cn, Dn]]; for every rho that makes
-    M0 + rho U U' positive definite, Theta = rho U' Phi V (V' Phi V)^-1 solves it, Phi = (M0 + rho U U')^-1.
+    Seed LMI (20) with X1 = S, Y1 = R is solved for the rest. It is M + U Theta V' + V Theta' U' >= 0 with
+    Theta = [[An, Bn], [Cn, Dn]] and U' V = 0. In an orthonormal basis [U, N] its Schur complement after eliminating N
+    is a concave quadratic in Theta, largest (as a matrix) at
+
+        Theta = -U' M N (N' M N)^-1 N' V [V' N (N' M N)^-1 N' V]^-1.
+
+    A congruence first makes the diagonal blocks of M one.
 
     Raises
     ------
-    NumericalError : no rho makes the matrix positive definite: (R, S) is not feasible to working precision.
+    NumericalError : N' M N is not positive definite: (R, S) is not feasible to working precision.
     """
     n, nw, nu, nz, ny = plant.sizes
     A, B1, C1, D11 = plant.A, plant.B1, plant.C1, plant.D11
     O, I = np.zeros, np.eye(n)
-    M0 = np.block([
+    M = np.block([
         [S,            I,            S @ A,        O((n, n)),      S @ B1,          O((n, nz))],
         [I,            R,            A,            A @ R,          B1,              O((n, nz))],
         [A.T @ S,      A.T,          S,            I,              O((n, nw)),      C1.T],
@@ -68,22 +75,29 @@ def controllers(plant: GeneralizedPlant, R: np.ndarray, S: np.ndarray, g: float)
         [B1.T @ S,     B1.T,         O((nw, n)),   O((nw, n)),     g * np.eye(nw),  D11.T],
         [O((nz, n)),   O((nz, n)),   C1,           C1 @ R,         D11,             g * np.eye(nz)],
     ])  # fmt: skip
-    U = np.zeros((len(M0), n + nu))
+    U = np.zeros((len(M), n + nu))
     U[:n, :n], U[n : 2 * n, n:], U[-nz:, n:] = I, plant.B2, plant.D12
-    V = np.zeros((len(M0), n + ny))
+    V = np.zeros((len(M), n + ny))
     V[2 * n : 3 * n, n:], V[3 * n : 4 * n, :n], V[4 * n : 4 * n + nw, n:] = plant.C2.T, I, plant.D21.T
-    found = False
-    for rho in np.geomspace(1e0, 1e9, 10) * np.linalg.norm(M0, 2):
-        try:
-            factor = sla.cho_factor(M0 + rho * U @ U.T, lower=True)
-        except np.linalg.LinAlgError:
-            continue
-        PhiV = sla.cho_solve(factor, V)
-        theta = rho * U.T @ PhiV @ np.linalg.pinv(V.T @ PhiV, hermitian=True)
-        found = True
-        yield recover(plant, S, R, I, theta)
-    if not found:
-        raise NumericalError("the solution (R, S) of the elimination LMIs is not strictly feasible")
+    try:
+        s, r = (np.linalg.inv(np.linalg.cholesky(X)) for X in (S, R))
+        E = sla.block_diag(s, r, s, r, np.eye(nw + nz) / np.sqrt(g))
+        M, U, V = E @ M @ E.T, E @ U, E @ V
+        (QU, RU), (QV, RV) = _basis(U), _basis(V)
+        N = sla.null_space(QU.T)
+        factor = sla.cho_factor(N.T @ M @ N, lower=True)
+    except np.linalg.LinAlgError:
+        raise NumericalError("the solution (R, S) of the elimination LMIs is not strictly feasible") from None
+    X = sla.cho_solve(factor, N.T @ QV)
+    theta = -np.linalg.solve((QV.T @ N @ X).T, (QU.T @ M @ N @ X).T).T
+    return recover(plant, S, R, I, RU @ theta @ RV.T)
+
+
+def _basis(M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """An orthonormal basis Q of the range of M, and R with M R = Q; redundant columns fall away."""
+    left, sigma, right = np.linalg.svd(M, full_matrices=False)
+    keep = sigma > 1e-12 * sigma[0]
+    return left[:, keep], right[keep].T / sigma[keep]
 
 
 @dataclass(frozen=True)
@@ -110,6 +124,13 @@ class Eliminated:
         return float(g.value), status
 
     def controllers(self, level: float) -> Iterator[StateSpace]:
-        """Controllers from the analytic centre of all (R, S) that reach `level`."""
-        solve(0, existence(self.plant, self.R, self.S, level))
-        yield from controllers(self.plant, self.R.value, self.S.value, level)
+        """The central controller of the analytic centre of all (R, S) that reach `level`.
+
+        Where measurements or actuators are perfect the set of (R, S) is unbounded and has no centre; a second
+        attempt bounds it.
+        """
+        lmis = existence(self.plant, self.R, self.S, level)
+        bound = LARGEST * np.eye(self.plant.sizes[0])
+        for bounds in ([], [bound - self.R, bound - self.S]):
+            solve(0, [*lmis, *bounds])
+            yield controller(self.plant, self.R.value, self.S.value, level)

@@ -12,7 +12,7 @@ import numpy as np
 from synth.errors import NumericalError
 
 TOLERANCE = 1e-8  # tighter only turns "optimal" into "optimal_inaccurate" without moving the solution
-BACKOFF = (1e-3, 3e-3, 1e-2, 1e-1, 1.0)  # relative distances from the optimum at which controllers are centred
+BACKOFF = (1e-3, 3e-3, 1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3, 1e4)  # relative distances from the optimum, tried in turn
 
 
 def staircase(rows: Sequence[Sequence[Any]]) -> cp.Expression:
