@@ -127,10 +127,11 @@ def pose(p: MpcProblem) -> PosedProblem:
     channels = [soft_limit([X[k][i] for k in range(p.delay + 1, steps + 1)], p.ymin[i], p.ymax[i]) for i in range(n)]
     channels += [soft_limit([hk[i] for hk in stored.values()], -p.hmax[i], p.hmax[i]) for i in range(m)]
     channels = [excess for excess in channels if excess]
-    slacks = cp.Variable(len(channels), name="slacks", nonneg=True) if channels else None
+    slacks = cp.Variable(len(channels), name="slacks") if channels else None
     objective = sum(cost) / cost_unit(p) / 2
     if slacks is not None:
         objective += p.penalty * (cp.sum(slacks) + cp.sum_squares(slacks) / 2)
+        constraints += [slacks >= 0]
         constraints += [e <= slacks[i] for i, excess in enumerate(channels) for e in excess]
     return PosedProblem(cp.Problem(cp.Minimize(objective), constraints), phi, [v] if slacks is None else [v, slacks])
 
@@ -255,7 +256,7 @@ def mpc(
     ymax: Any = None,
     hmax: Any = None,
     delay: int = 0,
-    penalty: float = 1e4,
+    penalty: float = 10.0,
 ) -> Mpc:
     """A model predictive controller for x+ = A x + B u, y = x.
 

@@ -1,0 +1,122 @@
+"""What a step of model predictive control costs: python benchmarks/mpc.py
+
+The CubeSat of Pecorilla and Stesina (2024, equation 12), table 3, both forms, soft limits on rate and momentum. Three
+ways to the same command for the same measurements of a regulation from the attitude error of table 3, in one run:
+
+    step      the controller's public step, checks and bookkeeping included
+    raw       DAQP alone: update and solve of the same program, vectors ready, warm start by DAQP
+    cvxpy     CVXPY with parameters on the condensed program, solved by Clarabel at its defaults
+
+Each measurement is repeated; the fastest of the repetitions counts. Targets: step / raw <= 4, cvxpy / step >= 50.
+"""
+
+import time
+
+import cvxpy as cp
+import daqp
+import numpy as np
+
+from synth.mpc import Mpc, MpcState, mpc
+from synth.statespace import StateSpace, c2d
+
+TORQUE, MOMENTUM, RATE = 1e-3, 10.8e-3, np.radians(2)  # N m, N m s, rad/s
+REST = np.zeros(6)
+PERIODS = 200  # 100 s
+
+
+def cubesat() -> StateSpace:
+    Ix, Iy, Iz = 0.0546, 0.0546, 0.0074
+    w0 = np.sqrt(3.986004418e14 / (6378137 + 470e3) ** 3)
+    A = np.zeros((6, 6))
+    A[:3, 3:] = np.eye(3) / 2
+    A[3, 0], A[3, 5] = -8 * w0**2 * (Iy - Iz) / Ix, w0 * (Iz + Ix - Iy) / Ix
+    A[4, 1] = -6 * w0**2 * (Ix - Iz) / Iy
+    A[5, 2], A[5, 3] = -2 * w0**2 * (Iy - Ix) / Iz, -w0 * (Iz + Ix - Iy) / Iz
+    B = np.vstack([np.zeros((3, 3)), np.diag([1 / Ix, 1 / Iy, 1 / Iz])])
+    return c2d(StateSpace(A, B, np.eye(6), np.zeros((6, 3))), 0.5)
+
+
+def flight(controller: Mpc, noise: float) -> list[tuple[MpcState, np.ndarray]]:
+    """Controller states and measurements of a regulation with measurement noise (rad, rad/s)."""
+    rng = np.random.default_rng(0)
+    model, state, x = controller.problem.model, controller.init(), np.array([-0.13, 0.22, 0.09, 0, 0.0011, 0])
+    cases = []
+    for _ in range(PERIODS):
+        y = x + noise * rng.standard_normal(6) * [1, 1, 1, 0.1, 0.1, 0.1]
+        cases.append((state, y))
+        state, u = controller.step(state, y, REST)
+        x = model.A @ x + model.B @ u
+    return cases
+
+
+def fastest(run, repeat: int) -> float:
+    """Seconds per period of the fastest repetition."""
+    seconds = []
+    for _ in range(repeat):
+        start = time.perf_counter()
+        run()
+        seconds.append(time.perf_counter() - start)
+    return min(seconds) / PERIODS
+
+
+def raw_daqp(controller: Mpc, cases) -> tuple[float, np.ndarray]:
+    qp, N = controller.qp, controller.qp.P.shape[0]
+    both = [qp.vectors(controller.parameters(state, y, REST)) for state, y in cases]
+    model = daqp.Model()
+    model.setup(qp.P, both[0][0], qp.A, both[0][1], qp.lower, np.zeros(qp.lower.size, dtype=np.intc))
+    model.settings = {"primal_tol": 1e-10, "eps_prox": 0.0}
+
+    def run():
+        out = []
+        for f, upper in both:
+            model.update(f=f, bupper=upper, blower=qp.lower)
+            out.append(model.solve()[0])
+        return out
+
+    return fastest(run, 30), np.array(run()).reshape(PERIODS, N)
+
+
+def cvxpy_condensed(controller: Mpc, cases) -> tuple[float, np.ndarray]:
+    qp, N = controller.qp, controller.qp.P.shape[0]
+    both = [qp.vectors(controller.parameters(state, y, REST)) for state, y in cases]
+    v, f, b = cp.Variable(N), cp.Parameter(N), cp.Parameter(qp.A.shape[0])
+    above, below = np.flatnonzero(np.isfinite(both[0][1][:N])), np.flatnonzero(np.isfinite(qp.lower[:N]))
+    bounds = [v[above] <= both[0][1][above], v[below] >= qp.lower[below]]
+    objective = cp.quad_form(v, cp.psd_wrap(qp.P)) / 2 + f @ v
+    problem = cp.Problem(cp.Minimize(objective), [*bounds, qp.A @ v <= b])
+
+    def run():
+        out = []
+        for fk, upper in both:
+            f.value, b.value = fk, upper[N:]
+            problem.solve(solver="CLARABEL")
+            out.append(v.value)
+        return out
+
+    return fastest(run, 3), np.array(run())
+
+
+def main():
+    model = cubesat()
+    limits = {"ymin": [-np.inf] * 3 + [-RATE] * 3, "ymax": [np.inf] * 3 + [RATE] * 3, "hmax": MOMENTUM}
+    table_3 = {"Q": 1000 * np.eye(6), "R": 1000 * np.eye(3), "Np": 10, "Nc": 7, "umin": -TORQUE, "umax": TORQUE}
+    print(f"{PERIODS} periods, microseconds per step")
+    print("form      soft  noise |   step    raw   cvxpy | step/raw  cvxpy/step | command differs by (raw, cvxpy)")
+    for form in ("position", "velocity"):
+        for soft in (limits, {}):
+            for noise in (0.0, 2e-3):
+                controller = mpc(model, form=form, **table_3, **soft)
+                cases = flight(controller, noise)
+                step = fastest(lambda c=controller, s=cases: [c.step(state, y, REST) for state, y in s], 30)
+                raw, v_raw = raw_daqp(controller, cases)
+                slow, v_slow = cvxpy_condensed(controller, cases)
+                u = np.array([controller.step(state, y, REST)[1] for state, y in cases]) / TORQUE
+                off = [np.abs(v[:, :3] - u).max() for v in (v_raw, v_slow)]
+                print(
+                    f"{form:9} {'yes' if soft else 'no':4} {noise:6.0e} | {1e6 * step:6.1f} {1e6 * raw:6.1f} {1e6 * slow:7.0f}"
+                    f" | {step / raw:8.2f}  {slow / step:10.0f} | {off[0]:.0e} {off[1]:.0e}"
+                )
+
+
+if __name__ == "__main__":
+    main()
