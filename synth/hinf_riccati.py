@@ -1,46 +1,35 @@
-"""H-infinity output feedback by two Riccati equations: search the optimal level, build the central controller.
+"""H-infinity output feedback by two Riccati equations: search the lowest level, build the central controller.
 
 A level g is feasible when the game Riccati equations of control (X) and of estimation (Y) have stabilising solutions
-of the right signs and the spectral radius of X Y is below g^2. Everything here lives in the scaled coordinates of
-`precondition`; `Conditioned.restore` and `Conditioned.scale` are the way back. A plant whose D12 or D21 loses rank, or
-that has zeros on the unit circle, gets a small regularisation appended to z and w, and the controller is judged
-on the plant without it.
+of the right signs and the spectral radius of X Y is below g^2. The plants here are discrete, with D22 = 0 and in the
+scaled coordinates of `precondition`. Where D12 or D21 loses rank, or the plant has zeros on the unit circle, these
+equations have no solution at the optimum; small regularisations appended to z and w then take its place. A controller
+of the regularised plant is one of the plant itself with a norm at most as large, so the sweep over them is safe, and
+it must be a sweep: how much a regularisation costs depends on the plant.
 
 Reference: Stoorvogel (1992), The H-infinity control problem: a state space approach, chapters 9 and 10.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import NamedTuple
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import scipy.linalg as sla
 
-from synth.doubling import Riccati, bounded_real, is_nonnegative, is_positive, solve_riccati
-from synth.errors import InfeasibleError, NumericalError, VerificationError
+from synth.doubling import Riccati, is_nonnegative, is_positive, solve_riccati
+from synth.errors import NumericalError
 from synth.generalized import GeneralizedPlant
-from synth.norms import balance, confirm, hinfnorm, is_stable
-from synth.precondition import Conditioned
+from synth.precondition import regularised_lqr
 from synth.statespace import StateSpace
 
-REGULARISATIONS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # of plants without a regular solution, relative to the scaled plant
-MARGINS = tuple(1e-5 * 4**k for k in range(7))  # central controller above the optimal level, tried in this order
-NEAR_BEST = 1e-4  # relative: of the verified designs this near the lowest level the most regularised is taken
+REGULARISATIONS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # relative to the scaled plant
+BACKOFF = (*(1e-5 * 4.0**k for k in range(6)), 0.1, 1.0, 10.0, 1e2, 1e3)  # the last ones where the optimum is zero
+INSIDE = 1e-6  # the central controller for a level is made for one lower by this part, so that it keeps the level
 LOWEST, HIGHEST = 1e-9, 1e9  # levels searched, scaled plant
-
-
-class RiccatiDesign(NamedTuple):
-    """Central controller for the plant of a `Conditioned`, all in its scaled coordinates."""
-
-    controller: StateSpace  # u = K y for the scaled plant, (nu x ny)
-    gamma: float  # proven by the bounded-real equation for this controller
-    gamma_opt: float  # lowest level found feasible, with any regularisation
-    regularisation: float  # appended to z and w, 0 for regular plants
-    evaluations: int  # pairs of Riccati equations solved
-    rcond_X: float  # reciprocal condition of R + B'X B in the control equation
-    rcond_Y: float  # the same in the estimation equation
-    coupling: float  # spectral radius of X Y over gamma^2, below 1
+MAX_LEVELS = 120  # tried in one search; 10 to 30 are used
 
 
 class Solutions(NamedTuple):
@@ -57,39 +46,76 @@ class Solutions(NamedTuple):
         return self.coupling < 1
 
 
-def riccati_hinf(c: Conditioned, gamma: float | None = None, tol: float = 1e-7) -> RiccatiDesign:
-    """Central H-infinity controller for the scaled plant of `c`, optimal or at a level asked for.
+class Search(NamedTuple):
+    """Bracket of the lowest feasible level."""
 
-    Parameters
-    ----------
-    gamma : level asked for in scaled units (original level / c.scale); None searches the optimum
-    tol : relative accuracy of the optimal level
+    low: Solutions  # infeasible
+    high: Solutions  # feasible
+    levels: int  # how many were tried
 
-    Raises
-    ------
-    InfeasibleError : no controller was found at `gamma`; carries the lowest level reached, in scaled units.
-    NumericalError : no level gave a controller whose closed loop is stable and has the norm it should have.
-    """
-    designs, statuses = [], {}
-    for epsilon in (0.0, *REGULARISATIONS):
-        P = regularised(c.plant, epsilon)
-        try:
-            optimum, below, count = search(P, c.X, c.Y, tol)
-            designs.append(_verified(c, P, optimum, gamma, epsilon, count))
-        except NumericalError as error:
-            statuses[f"regularisation {epsilon:g}"] = str(error)
-            continue
-        if gamma is not None and designs[-1].gamma <= gamma:
-            return designs[-1]
-        if epsilon == 0 and _trusted(c, optimum, below):
-            break
-    if not designs:
-        raise NumericalError("no Riccati route led to a verified controller", statuses)
-    lowest, floor = min(d.gamma for d in designs), min(min(d.gamma, d.gamma_opt) for d in designs)
-    if gamma is not None:
-        raise InfeasibleError(f"no controller reached {gamma:.6g}; the lowest verified level is {lowest:.6g}", lowest)
-    best = next(d for d in designs if d.gamma <= lowest * (1 + NEAR_BEST))
-    return best._replace(gamma_opt=floor)
+
+@dataclass(frozen=True)
+class RiccatiRoute:
+    """Synthesis by Riccati equations for a conditioned plant: the lowest level, and controllers for a level."""
+
+    plant: GeneralizedPlant  # discrete, D22 = 0, scaled
+    X: np.ndarray  # (n, n) LQR solution, where the control equations start
+    Y: np.ndarray  # (n, n) Kalman solution, where the estimation equations start
+    solver: ClassVar[str] = "doubling"
+    tolerance: ClassVar[float] = 1e-7
+    backoff: ClassVar[tuple[float, ...]] = BACKOFF
+
+    @classmethod
+    def of(cls, plant: GeneralizedPlant) -> RiccatiRoute:
+        """The route for a plant; raises NumericalError when it cannot be stabilised to working precision."""
+        P = plant
+        X = regularised_lqr(P.A, P.B2, P.C1, P.D12, "(A, B2) stabilisable").X
+        return cls(plant, X, regularised_lqr(P.A.T, P.C2.T, P.B1.T, P.D21.T, "(C2, A) detectable").X)
+
+    def minimise(self) -> tuple[float, str]:
+        """The lowest level at which the equations are solvable, and how it was found.
+
+        Raises
+        ------
+        NumericalError : they are not at any level, with any regularisation.
+        """
+        best, statuses = None, {}
+        for epsilon in (0.0, *REGULARISATIONS):
+            try:
+                found = search(regularised(self.plant, epsilon), self.X, self.Y, self.tolerance)
+            except NumericalError as error:
+                statuses[f"regularisation {epsilon:g}"] = str(error)
+                continue
+            if best is None or found.high.gamma < best[0].high.gamma:
+                best = found, epsilon
+            if epsilon == 0 and self._trusted(found):
+                break
+        if best is None:
+            raise NumericalError("the Riccati equations have no solution at any level and regularisation", statuses)
+        (_, high, levels), epsilon = best
+        note = f", regularised by {epsilon:g}" if epsilon else ""
+        rcond = min(1 / np.linalg.cond(r.R) for r in (high.X, high.Y) if r)
+        return high.gamma, f"coupling {high.coupling:.7f} after {levels} levels, rcond {rcond:.1e}{note}"
+
+    def controllers(self, level: float) -> Iterator[StateSpace]:
+        """Central controllers for `level`: of the plant, then of the regularised plants that can reach it."""
+        for epsilon in (0.0, *REGULARISATIONS):
+            P = regularised(self.plant, epsilon)
+            K = central_controller(P, solve_level(P, level * (1 - INSIDE), self.X, self.Y))
+            if K is not None:
+                yield K
+
+    def _trusted(self, found: Search) -> bool:
+        """True when the optimum found without regularisation needs no second opinion.
+
+        Either it is the Parrott bound, or the coupling crosses one between two levels at which both solutions exist,
+        and a slightly regularised plant is not feasible lower down.
+        """
+        if found.high.gamma <= parrott(self.plant) * (1 + BACKOFF[0]):
+            return True
+        if not np.isfinite(found.low.coupling):
+            return False
+        return not solve_level(regularised(self.plant, 1e-5), found.high.gamma * (1 - 1e-4), self.X, self.Y).feasible
 
 
 def regularised(P: GeneralizedPlant, epsilon: float) -> GeneralizedPlant:
@@ -121,7 +147,7 @@ def control_riccati(P: GeneralizedPlant, gamma: float, start: np.ndarray | None 
 
     Stabilising, X >= 0, R22 > 0, and the Schur complement of R on w negative.
     """
-    n, nw, *_ = P.sizes
+    nw = P.sizes[1]
     B, D = np.hstack([P.B1, P.B2]), np.hstack([P.D11, P.D12])
     R = D.T @ D
     R[:nw, :nw] -= gamma**2 * np.eye(nw)
@@ -157,9 +183,9 @@ def central_controller(P: GeneralizedPlant, s: Solutions) -> StateSpace | None:
 
     Reference: Stoorvogel (1992), sections 10.3 and 10.4.
     """
-    n, nw, nu, *_ = P.sizes
+    _, nw, nu, *_ = P.sizes
     g, X = s.gamma, s.X
-    if X is None or s.Y is None:
+    if X is None or s.Y is None or not s.feasible:
         return None
     F1, F2 = X.F[:nw], X.F[nw:]
     R21, R22 = X.R[nw:, :nw], X.R[nw:, nw:]
@@ -179,34 +205,37 @@ def central_controller(P: GeneralizedPlant, s: Solutions) -> StateSpace | None:
     return StateSpace(Pt.A + P.B2 @ F2 - B @ Pt.C2, B, C, D, P.dt)
 
 
-def search(P: GeneralizedPlant, X0: np.ndarray, Y0: np.ndarray, tol: float = 1e-7) -> tuple[Solutions, Solutions, int]:
-    """Solutions at the lowest feasible level and at the infeasible one next to it, and how many levels were tried.
+def search(P: GeneralizedPlant, X0: np.ndarray, Y0: np.ndarray, tol: float = 1e-7) -> Search:
+    """The lowest feasible level to the relative accuracy `tol`.
 
     Secant on the logarithm of the coupling inside a bracket; bisection where the existence of X or Y binds.
+
+    Parameters
+    ----------
+    X0, Y0 : (n, n) starts of the two equations, near their solutions at a high level
 
     Raises
     ------
     NumericalError : no level up to `HIGHEST` is feasible.
     """
     bound = parrott(P)
-    high = solve_level(P, max(1.2, 1.2 * bound), X0, Y0)
-    low, count = Solutions(max(bound, LOWEST), None, None, np.inf), 1
+    low = Solutions(max(bound, LOWEST), None, None, np.inf)
+    high, count = solve_level(P, max(1.2, 1.2 * bound), X0, Y0), 1
     while not high.feasible:
         if high.gamma > HIGHEST:
-            raise NumericalError("the Riccati equations have no solution at any level; the plant is close to irregular")
-        low = high
-        high = solve_level(P, 3 * high.gamma, X0, Y0)
-        count += 1
+            raise NumericalError("the Riccati equations have no solution at any level")
+        low, high, count = high, solve_level(P, 3 * high.gamma, X0, Y0), count + 1
     weight = 1.0  # of the lower end in the secant (Illinois)
-    while high.gamma > low.gamma * (1 + tol) and count < 120:
-        gamma = _next_level(low, high, weight, tol)
-        trial = solve_level(P, gamma, high.X.X, high.Y.X)
+    while high.gamma > low.gamma * (1 + tol) and count < MAX_LEVELS:
+        # start from solutions at a higher level: those at a lower one are too large
+        X, Y = (r.X if r else start for r, start in ((high.X, X0), (high.Y, Y0)))
+        trial = solve_level(P, _next_level(low, high, weight, tol), X, Y)
         count += 1
         if trial.feasible:
             high, weight = trial, weight / 2
         else:
             low, weight = trial, 1.0
-    return high, low, count
+    return Search(low, high, count)
 
 
 def _next_level(low: Solutions, high: Solutions, weight: float, tol: float) -> float:
@@ -218,52 +247,6 @@ def _next_level(low: Solutions, high: Solutions, weight: float, tol: float) -> f
     else:
         middle = max((a + b) / 2, b - np.log(4))
     return float(np.exp(np.clip(middle, a + tol / 2, b - tol / 2)))
-
-
-def _verified(
-    c: Conditioned, P: GeneralizedPlant, optimum: Solutions, gamma: float | None, epsilon: float, evaluations: int
-) -> RiccatiDesign:
-    """Central controller of P (regularised) at gamma or just above the optimum, verified on the plant of c."""
-    levels = [(optimum.gamma * (1 + d), optimum.gamma * (1 + 1.01 * d)) for d in MARGINS]  # of controller, of proof
-    if gamma is not None and gamma > levels[0][1]:
-        levels = [(gamma / (1 + 1e-6), gamma), *(pair for pair in levels if pair[1] <= gamma)]
-    for level, proof in levels:
-        s = solve_level(P, level, c.X, c.Y)
-        K = central_controller(P, s)
-        evaluations += 1
-        if K is None or s.X is None or s.Y is None:
-            continue
-        G = balance(c.plant.close(K))
-        if not is_stable(G) or bounded_real(G, proof) is None:
-            continue
-        if epsilon > 0 and gamma is None:  # without the regularisation the norm is lower
-            proof = _measured(G, proof)
-        rcond_X, rcond_Y = (float(1 / np.linalg.cond(r.R)) for r in (s.X, s.Y))
-        return RiccatiDesign(K, proof, optimum.gamma, epsilon, evaluations, rcond_X, rcond_Y, s.coupling)
-    raise NumericalError(f"no central controller near level {optimum.gamma:.6g} passed its verification")
-
-
-def _measured(G: StateSpace, proof: float) -> float:
-    """The lowest level that the bounded-real equation confirms, from one that it does."""
-    try:
-        return min(proof, confirm(G, hinfnorm(G)[0]))
-    except VerificationError:  # a norm at rounding level
-        while proof > LOWEST and bounded_real(G, proof / 2) is not None:
-            proof /= 2
-        return proof
-
-
-def _trusted(c: Conditioned, optimum: Solutions, below: Solutions) -> bool:
-    """True when the optimum found without regularisation needs no second opinion.
-
-    Either it is the Parrott bound, or the coupling crosses one between two levels at which both solutions exist and
-    a slightly regularised plant, whose controllers serve the plant itself, is not feasible lower down either.
-    """
-    if optimum.gamma <= parrott(c.plant) * (1 + MARGINS[0]):
-        return True
-    if not np.isfinite(below.coupling):
-        return False
-    return not solve_level(regularised(c.plant, 1e-5), optimum.gamma * (1 - 1e-4), c.X, c.Y).feasible
 
 
 def _worst_case(R: np.ndarray, nw: int) -> np.ndarray:

@@ -42,10 +42,6 @@ class Conditioned:
     Su: np.ndarray  # (nu, nu) actuator scaling
     Sy: np.ndarray  # (ny, ny) sensor scaling
     D22: np.ndarray  # (ny, nu) of the original plant
-    F: np.ndarray  # (nu, n) A + B2 F is stable, scaled coordinates
-    L: np.ndarray  # (n, ny) A + L C2 is stable, scaled coordinates
-    X: np.ndarray  # (n, n) cost of F in the regularised LQR problem, scaled coordinates
-    Y: np.ndarray  # (n, n) covariance of L in the regularised Kalman problem, scaled coordinates
 
     def restore(self, K: StateSpace) -> StateSpace:
         """The controller for the original u and y, from one for the scaled plant.
@@ -109,23 +105,55 @@ def precondition(P: GeneralizedPlant) -> Conditioned:
     check_assumptions(P)
     first = _balance(P)
     S = _transformed(P, first)
-    lqr = _lqr(S.A, S.B2, S.C1, S.D12, "(A, B2) stabilisable")
-    kalman = _lqr(S.A.T, S.C2.T, S.B1.T, S.D21.T, "(C2, A) detectable")
+    lqr = regularised_lqr(S.A, S.B2, S.C1, S.D12, "(A, B2) stabilisable")
+    kalman = regularised_lqr(S.A.T, S.C2.T, S.B1.T, S.D21.T, "(C2, A) detectable")
     T, Ti = _lqg_balancing(lqr.X, kalman.X)
     second = _Coordinates(T, Ti, _inverse_root(lqr.R), _inverse_root(kalman.R), 1.0, 1.0)
     S = _transformed(S, second)
     F, L = np.linalg.solve(second.Su, lqr.F @ T), np.linalg.solve(second.Sy, kalman.F @ Ti.T).T
 
-    K = StateSpace(S.A + S.B2 @ F + L @ S.C2, -L, F, np.zeros_like(S.D22.T), P.dt)
-    level = _peak(S.close(K)) or 1.0  # zero when nothing regulated can be disturbed
+    lqg = StateSpace(S.A + S.B2 @ F + L @ S.C2, -L, F, np.zeros_like(S.D22.T), P.dt)
+    level = _peak(S.close(lqg)) or 1.0  # zero when nothing regulated can be disturbed
     # w and z each by level^-1/2; u and y follow so that the innovations stay of size one
-    r = np.sqrt(level)
-    third = _Coordinates(np.eye(len(T)), np.eye(len(T)), r * np.eye(len(F)), r * np.eye(len(S.C2)), 1 / r, 1 / r)
-    T, Su, Sy = first.T @ second.T, first.Su @ second.Su * r, second.Sy @ first.Sy * r
+    r, I = np.sqrt(level), np.eye
+    third = _Coordinates(I(len(T)), I(len(T)), r * I(len(F)), r * I(len(S.C2)), 1 / r, 1 / r)
     return Conditioned(
-        plant=_transformed(S, third), scale=level / (first.w * first.z), T=T, Su=Su, Sy=Sy, D22=P.D22,
-        F=F / r, L=L / r, X=second.T.T @ lqr.X @ second.T / level, Y=Ti @ kalman.X @ Ti.T / level,
+        plant=_transformed(S, third), scale=level / (first.w * first.z), T=first.T @ T,
+        Su=first.Su @ second.Su * r, Sy=r * second.Sy @ first.Sy, D22=P.D22,
     )  # fmt: skip
+
+
+def regularised_lqr(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, assumption: str) -> Riccati:
+    """LQR of |C x + D u|^2 with the smallest regularisation of x and u for which a stabilising gain is found.
+
+    Parameters
+    ----------
+    A : (n, n); B : (n, m); C : (p, n); D : (p, m)
+    assumption : what the error names
+
+    Raises
+    ------
+    NumericalError : none of the regularisations led to one.
+    """
+    n, m = B.shape
+    size = _stack(C, D) or 1.0
+    Q, R, S = C.T @ C, D.T @ D, C.T @ D
+    for epsilon in REGULARISATIONS:
+        e = (epsilon * size) ** 2
+        Qe, Re = Q + e * np.eye(n), R + e * np.eye(m)
+        solution = solve_riccati(A, B, Qe, Re, S)
+        if solution is None:
+            try:
+                X = sla.solve_discrete_are(A, B, Qe, Re, s=S)
+            except (np.linalg.LinAlgError, ValueError):
+                continue
+            solution = solve_riccati(A, B, Qe, Re, S, start=X)
+        if solution and is_positive(solution.R) and is_nonnegative(solution.X) and _radius(A + B @ solution.F) < 1:
+            return solution
+    raise NumericalError(
+        f"no stabilising gain was found: {assumption} holds so weakly that double precision cannot use it; "
+        "rescale the model or strengthen the weakest actuator or sensor"
+    )
 
 
 class _Coordinates(NamedTuple):
@@ -206,29 +234,6 @@ def _unreachable(A: np.ndarray, B: np.ndarray, *, discrete: bool) -> tuple[compl
             lost.append(mode)
     clean = [complex(m.real, 0.0 if abs(m.imag) <= 1e-9 * abs(m) else m.imag) for m in lost]
     return tuple(sorted(clean, key=lambda m: (m.real, m.imag)))
-
-
-def _lqr(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, assumption: str) -> Riccati:
-    """LQR of |Cx + Du|^2 with the smallest regularisation of x and u for which a stabilising gain is found."""
-    n, m = B.shape
-    size = _stack(C, D) or 1.0
-    Q, R, S = C.T @ C, D.T @ D, C.T @ D
-    for epsilon in REGULARISATIONS:
-        e = (epsilon * size) ** 2
-        Qe, Re = Q + e * np.eye(n), R + e * np.eye(m)
-        solution = solve_riccati(A, B, Qe, Re, S)
-        if solution is None:
-            try:
-                X = sla.solve_discrete_are(A, B, Qe, Re, s=S)
-            except (np.linalg.LinAlgError, ValueError):
-                continue
-            solution = solve_riccati(A, B, Qe, Re, S, start=X)
-        if solution and is_positive(solution.R) and is_nonnegative(solution.X) and _radius(A + B @ solution.F) < 1:
-            return solution
-    raise NumericalError(
-        f"no stabilising gain was found: {assumption} holds so weakly that double precision cannot use it; "
-        "rescale the model or strengthen the weakest actuator or sensor"
-    )
 
 
 def _radius(A: np.ndarray) -> float:
