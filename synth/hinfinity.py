@@ -167,7 +167,7 @@ def best_of(
                     best = found
                 if found.measured.norm <= (1 + CLOSE) * found.level:
                     return best
-        except NumericalError as error:
+        except (NumericalError, InfeasibleError) as error:
             failures[f"attempt {len(failures) + 1}, level {level:.9g}"] = str(error)
     return best
 
@@ -219,7 +219,7 @@ def make_route(name: str, plant: GeneralizedPlant) -> Route:
     if name == "riccati":
         from synth.hinf_riccati import RiccatiRoute
 
-        return RiccatiRoute(plant)
+        return RiccatiRoute.of(plant)
     if name == "lmi":
         from synth.lmi.eliminate import Eliminated
 

@@ -1,0 +1,57 @@
+"""The generalised plant: seed equation (27) signal by signal, partitions, names, errors."""
+
+import numpy as np
+import pytest
+from literature import cubesat_model, cubesat_pecorilla2024
+
+from synth.errors import ModelError
+from synth.generalized import GeneralizedPlant
+from synth.statespace import StateSpace
+
+
+def test_tracking_is_the_block_diagram_of_figure_5():
+    """z1 = We (Wr r - P0 (Wp n + u)), z2 = Wa u, y = Wr r - P0 (Wp n + u) - Wd d, seed equation (23), at a frequency."""
+    rng = np.random.default_rng(0)
+    m, q = 2, 3
+    G = StateSpace(0.5 * np.eye(4), rng.normal(size=(4, m)), rng.normal(size=(q, 4)), rng.normal(size=(q, m)), 0.5)
+    W = {name: np.diag(rng.uniform(1, 2, size)) for name, size in
+         {"Wproc": m, "Wact": m, "Wdist": q, "Werr": q, "Wr": q}.items()}  # fmt: skip
+    P = GeneralizedPlant.tracking(G, **W)
+    P0 = G.frequency_response(1.1)
+    O = np.zeros
+    from_r = np.vstack([W["Werr"] @ W["Wr"], O((m, q)), W["Wr"]])
+    from_n = np.vstack([-W["Werr"] @ P0 @ W["Wproc"], O((m, m)), -P0 @ W["Wproc"]])
+    from_d = np.vstack([O((q, q)), O((m, q)), -W["Wdist"]])
+    from_u = np.vstack([-W["Werr"] @ P0, W["Wact"], -P0])
+    expected = np.hstack([from_r, from_n, from_d, from_u])
+    np.testing.assert_allclose(P.system.frequency_response(1.1), expected, rtol=1e-12, atol=1e-12)
+
+
+def test_cubesat_plant_has_the_sizes_of_the_study():
+    P = cubesat_pecorilla2024()
+    assert P.sizes == (6, 15, 3, 9, 6)
+    assert P.w[0] == "reference y0"
+    assert P.y[5] == "error y5"
+
+
+def test_partition_and_system_are_inverse():
+    P = cubesat_pecorilla2024()
+    Q = GeneralizedPlant.partition(P.system.to_control(), 6, 3)
+    for name in ("A", "B1", "B2", "C1", "D11", "D12", "C2", "D21", "D22"):
+        np.testing.assert_array_equal(getattr(P, name), getattr(Q, name))
+
+
+def test_bad_plants_are_named():
+    G = cubesat_model()
+    W = {"Wproc": np.eye(3), "Wact": np.eye(3), "Wdist": np.eye(6), "Werr": np.eye(6), "Wr": np.eye(6)}
+    with pytest.raises(ModelError, match="Wr is 2 x 2 where 6 x 6 is needed"):
+        GeneralizedPlant.tracking(G, **(W | {"Wr": np.eye(2)}))
+    with pytest.raises(ModelError, match="nmeas is 9"):
+        GeneralizedPlant.partition(G, 9, 1)
+    with pytest.raises(ModelError, match="channel w has names"):
+        GeneralizedPlant.tracking(G, **W, u=("a", "a", "b"))
+    with pytest.raises(ModelError, match="units are given for"):
+        GeneralizedPlant(*(np.eye(1) for _ in range(9)), units={"nobody": "m"})
+    with pytest.raises(ModelError, match="every channel needs at least one signal"):
+        GeneralizedPlant(np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1)),
+                         np.ones((1, 1)), np.zeros((0, 1)), np.zeros((0, 1)), np.zeros((0, 1)))  # fmt: skip
