@@ -69,7 +69,7 @@ def raw_daqp(controller: Mpc, cases) -> tuple[float, np.ndarray]:
     def run():
         out = []
         for f, upper in both:
-            model.update(f=f, bupper=upper, blower=qp.lower)
+            model.update(f=f, bupper=upper)
             out.append(model.solve()[0])
         return out
 
@@ -113,7 +113,8 @@ def main():
                 u = np.array([controller.step(state, y, REST)[1] for state, y in cases]) / TORQUE
                 off = [np.abs(v[:, :3] - u).max() for v in (v_raw, v_slow)]
                 print(
-                    f"{form:9} {'yes' if soft else 'no':4} {noise:6.0e} | {1e6 * step:6.1f} {1e6 * raw:6.1f} {1e6 * slow:7.0f}"
+                    f"{form:9} {'yes' if soft else 'no':4} {noise:6.0e}"
+                    f" | {1e6 * step:6.1f} {1e6 * raw:6.1f} {1e6 * slow:7.0f}"
                     f" | {step / raw:8.2f}  {slow / step:10.0f} | {off[0]:.0e} {off[1]:.0e}"
                 )
 

@@ -19,6 +19,8 @@ Source of the study's values Q = R = 1000 I, Np = 10, Nc = 7: Pecorilla and Stes
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -50,12 +52,12 @@ class MpcProblem:
     delay: int  # samples between a command and its action
     penalty: float  # weight of a soft limit's relative excess, in units of the cost of full command over the horizon
 
-    @property
+    @cached_property
     def unit(self) -> np.ndarray:
         """Largest magnitude of each input: the unit of the decision variables, (m,)."""
         return np.maximum(np.abs(self.umin), np.abs(self.umax))
 
-    @property
+    @cached_property
     def parameters(self) -> dict[str, slice]:
         """Where measured state, disturbance, reference, momentum and past commands stand in the parameter vector."""
         n, m = self.model.n, self.model.nu
@@ -192,16 +194,19 @@ class Mpc:
         ------
         ModelError : `y` or `r` has the wrong size or is not finite.
         """
-        n, m = self.problem.model.n, self.problem.model.nu
+        n, m = self.problem.model.B.shape
         y, r = np.asarray(y, dtype=float), np.asarray(r, dtype=float)
-        if y.shape not in ((n,), (n + m,)):
+        if y.shape == (n,):
+            x, h = y, state.momentum
+        elif y.shape == (n + m,):
+            x, h = y[:n], y[n:]
+        else:
             raise ModelError(f"y has shape {y.shape}; pass the state ({n},) or state and momentum ({n + m},)")
         if r.shape != (n,):
             raise ModelError(f"r has shape {r.shape}; pass the state to go to, ({n},)")
-        x, h = (y, state.momentum) if y.size == n else (y[:n], y[n:])
         d = np.zeros(n) if state.prediction is None else x - state.prediction
         phi = np.concatenate((x, d, r, h, state.inputs.ravel()))
-        if not np.isfinite(phi).all():
+        if not isfinite(phi @ phi):
             raise ModelError(f"y is {y}, r is {r}; every entry must be finite")
         return phi
 
@@ -230,11 +235,14 @@ class Mpc:
         except NumericalError as error:
             data = {name: phi[where].tolist() for name, where in p.parameters.items()}
             raise NumericalError(f"no command at {data}: {error}", error.statuses) from error
-        u = p.unit * solution.v[: model.nu]
-        acting = state.inputs[0] if p.delay else u
+        u = p.unit * solution.v[: p.unit.size]
+        if p.delay:
+            acting, inputs = state.inputs[0], np.concatenate((state.inputs[1:], u[None]))
+        else:
+            acting, inputs = u, u[None]
         return MpcState(
             prediction=model.A @ phi[: model.n] + model.B @ acting if p.form == "velocity" else None,
-            inputs=np.vstack((state.inputs[1:], u)),
+            inputs=inputs,
             momentum=phi[p.parameters["h"]] - model.dt * acting,
             active=solution.active,
             fallbacks=state.fallbacks + (solution.solver != "daqp"),

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 # The program is to be scaled to unit variables. No regularisation: the Hessian is to be positive definite.
 DAQP_SETTINGS = {"primal_tol": 1e-10, "eps_prox": 0.0}
+DAQP_ACTIVE = np.array([0, 1, 3], dtype=np.intc)  # its flag for a row with multiplier 0, > 0 (upper), < 0 (lower)
 # As tight as double precision carries: the optimum of a flat objective is far less exact than its value.
 CLARABEL_SETTINGS = {
     "tol_gap_abs": 1e-16,
@@ -95,12 +96,12 @@ class ParametricQp:
         NumericalError : both fail; the statuses say how.
         """
         f, upper = self.vectors(phi)
-        flag = self.workspace.update(f=f, bupper=upper, blower=self.lower, sense=active)
+        flag = self.workspace.update(f=f, bupper=upper, sense=active)
         if flag == 0:
             v, _, flag, info = self.workspace.solve()
             if flag == 1:
                 y = info["lam"]
-                return Solution(v, y, (y > 0) + np.intc(3) * (y < 0), "daqp")
+                return Solution(v, y, DAQP_ACTIVE.take(np.sign(y).astype(np.intp), mode="wrap"), "daqp")
         v, y, status = self.solve_clarabel(f, upper)
         if status not in ("Solved", "AlmostSolved"):
             raise NumericalError(
