@@ -6,7 +6,7 @@ another compilation. `field(metadata={"static": True})` puts a field of floats a
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -84,42 +84,61 @@ def check_numbers(block: Any, name: str, *, finite: bool = False) -> None:
             raise ScenarioError(f"{where} = {value} is not finite: give finite numbers")
 
 
-def stack(objects: Sequence[Any], varying: Sequence[bool] | None = None) -> Stack:
-    """Stack equal-structured pytrees; leaves equal in all are kept once unless marked in `varying`.
+def stack(objects: Sequence[Any], varying: Collection[str] = ()) -> Stack:
+    """Stack equal-structured pytrees; leaves equal in all are kept once unless their path is in `varying`.
 
     Raises
     ------
     ScenarioError
         If structures or array shapes differ.
     """
-    flat = [jax.tree.flatten(item) for item in objects]
-    structure = flat[0][1]
-    for index, (_, other) in enumerate(flat):
-        if other != structure:
-            raise ScenarioError(
-                f"run {index} differs from run 0 in more than numbers (classes or whole-number settings): "
-                "fly it in a batch of its own"
-            )
     leaves: list[Any] = []
     axes: list[int | None] = []
-    for position, column in enumerate(zip(*(leaves for leaves, _ in flat), strict=True)):
-        first = column[0]
-        forced = varying is not None and varying[position]
-        if not forced and all(item is first or np.array_equal(item, first) for item in column[1:]):
-            leaves.append(_array(first))
+    structure, columns = _columns(objects)
+    for name, column in columns.items():
+        if name not in varying and _equal(column):
+            leaves.append(_array(column[0]))
             axes.append(None)
             continue
         shapes = {np.shape(item) for item in column}
         if len(shapes) > 1:
-            raise ScenarioError(f"arrays of shapes {sorted(shapes)} in one batch: give all runs the same shape")
+            raise ScenarioError(f"{name} has shapes {sorted(shapes)} in one batch: give all runs the same shape")
         leaves.append(np.stack([_array(item) for item in column]))
         axes.append(0)
     return Stack(leaves, Form(structure, tuple(axes), len(objects)))
 
 
-def names(block: Any) -> list[str]:
-    """Path of every leaf, such as ".plant.inertia", in the order of `stack`."""
-    return [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_flatten_with_path(block)[0]]
+def differing(objects: Sequence[Any]) -> set[str]:
+    """Paths of the leaves that are not equal in all objects, such as "[0].plant.inertia"."""
+    return {name for name, column in _columns(objects)[1].items() if not _equal(column)}
+
+
+def join(parts: Sequence[Any]) -> Any:
+    """Pytrees of numbers as one of arrays, with a leading axis; plain dataclasses are registered as needed."""
+    for part in parts:
+        register(part)
+    return jax.tree.map(lambda *column: np.stack([np.asarray(item) for item in column]), *parts)
+
+
+def _columns(objects: Sequence[Any]) -> tuple[Any, dict[str, tuple[Any, ...]]]:
+    """The common structure, and the leaves of all objects by path."""
+    named, structure = jax.tree_util.tree_flatten_with_path(objects[0])
+    rows = []
+    for index, item in enumerate(objects):
+        row, other = jax.tree.flatten(item)
+        if other != structure:
+            raise ScenarioError(
+                f"run {index} differs from run 0 in more than numbers (classes or whole-number settings): "
+                "fly it in a batch of its own"
+            )
+        rows.append(row)
+    names = [jax.tree_util.keystr(path) for path, _ in named]
+    return structure, dict(zip(names, zip(*rows, strict=True), strict=True))
+
+
+def _equal(column: Sequence[Any]) -> bool:
+    """Whether all items are the same numbers."""
+    return all(item is column[0] or np.array_equal(item, column[0]) for item in column[1:])
 
 
 def _array(leaf: Any) -> np.ndarray:

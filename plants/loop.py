@@ -147,6 +147,7 @@ class Run:
     `inputs` is what acted on the plant during the sample that starts at `time`.
     """
 
+    duration: float  # s, as planned
     time: np.ndarray  # (N,) s
     states: Any  # plant state of (N, ...) arrays
     outputs: np.ndarray  # (N, ny) true
@@ -180,12 +181,19 @@ def check(loop: Loop, scenario: Scenario) -> None:
         )
     if loop.navigator is not None and loop.sensors is None:
         raise ScenarioError("sensors = None: a navigator needs sensors; give both or neither")
-    blocks.register(dataclasses.replace(loop, controller=None))
-    blocks.register(scenario)
-    blocks.check_numbers(dataclasses.replace(loop, controller=None), "loop")
-    blocks.check_numbers(scenario, "scenario", finite=True)
+    check_numbers(loop, scenario)
     with jax.enable_x64(True):
         _check_shapes(loop, scenario)
+
+
+def check_numbers(loop: Loop, scenario: Scenario) -> None:
+    """The part of `check` that may differ between cases of the same structure."""
+    known = dataclasses.replace(loop, controller=None)  # the controller is opaque: it may hold anything
+    blocks.register(known)
+    blocks.register(scenario)
+    blocks.check_numbers(known, "loop")
+    blocks.check_numbers(scenario, "scenario")
+    blocks.check_numbers(scenario.initial, "scenario.initial", finite=True)
 
 
 def env_at(scn: Scenario, t: Any) -> Any:

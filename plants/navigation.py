@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
+from numpy.typing import ArrayLike as Numbers
 
 from plants import attitude
 from plants.checks import real
@@ -171,8 +172,8 @@ class Ekf:
     def init(self) -> EkfState:
         """The first guess."""
         P = jnp.diag(jnp.asarray(self.deviation) ** 2)
-        first = (jnp.asarray(a) for a in (self.q, self.w, self.bias))
-        return EkfState(_no_measurements(self.window), *first, P)
+        q, w, bias = (jnp.asarray(a) for a in (self.q, self.w, self.bias))
+        return EkfState(_no_measurements(self.window), q, w, bias, P)
 
     def update(self, s: EkfState, y: Measurement, u: Any, env: Any, h: Any) -> tuple[EkfState, Array]:
         """Predict over the h s during which u acted, then correct by the measurement: new state, estimate (6,)."""
@@ -279,10 +280,10 @@ def ekf(
     attitude_noise: float,
     torque_noise: float,
     bias_walk: float,
-    q: ArrayLike = (1.0, 0.0, 0.0, 0.0),
-    w: ArrayLike = (0.0, 0.0, 0.0),
-    bias: ArrayLike = (0.0, 0.0, 0.0),
-    deviation: ArrayLike = (0.3, 0.3, 0.3, 1e-2, 1e-2, 1e-2, 1e-3, 1e-3, 1e-3),
+    q: Numbers = (1.0, 0.0, 0.0, 0.0),
+    w: Numbers = (0.0, 0.0, 0.0),
+    bias: Numbers = (0.0, 0.0, 0.0),
+    deviation: Numbers = (0.3, 0.3, 0.3, 1e-2, 1e-2, 1e-2, 1e-3, 1e-3, 1e-3),
     window: int = 5,
     direct: bool = False,
 ) -> Ekf:

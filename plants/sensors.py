@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
+from numpy.typing import ArrayLike as Numbers
 
 from plants import attitude
 from plants.checks import real
@@ -101,7 +102,7 @@ def attitude_suite(
     sun_noise: float,
     magnetometer_noise: float,
     gyro_noise: float,
-    gyro_bias: ArrayLike = (0.0, 0.0, 0.0),
+    gyro_bias: Numbers = (0.0, 0.0, 0.0),
     gyro_bias_walk: float = 0.0,
 ) -> AttitudeSuite:
     """The suite from its data sheet.

@@ -14,7 +14,7 @@ All arithmetic is float64; the caller's JAX configuration is left as it was.
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -34,7 +34,7 @@ from plants.loop import Plant as Plant
 from plants.loop import Run as Run
 from plants.loop import Scenario as Scenario
 from plants.loop import Sensors as Sensors
-from plants.loop import check, env_at, output_shape, reference_at
+from plants.loop import check, check_numbers, env_at, output_shape, reference_at
 
 CULPRITS = ("", "controller", "plant", "navigator")
 
@@ -100,7 +100,7 @@ def simulate_many(
     *,
     compiled: bool | None = None,
     record: Record | None = None,
-    varying: Sequence[bool] | None = None,
+    varying: Collection[str] = (),
     progress: bool = True,
 ) -> list[Run]:
     """Fly a batch of cases of the same structure at once: `jit(vmap(scan))`, one lane for each.
@@ -111,8 +111,9 @@ def simulate_many(
     ----------
     cases : sequence of (Loop, Scenario)
         Same classes, array shapes and counts throughout; all held in memory, with all their rows.
-    varying : sequence of bool, optional
-        Which leaves to treat as different between lanes, as `blocks.stack` found for an earlier batch.
+    varying : collection of str
+        Paths of numbers to treat as different between lanes even if they are not, so that batches of a campaign
+        share one compilation; see `blocks.differing`.
     compiled, record
         As in `simulate`.
     progress : bool
@@ -121,8 +122,9 @@ def simulate_many(
     if not cases:
         raise ScenarioError("cases: got none; give at least one (loop, scenario)")
     loop, scenario = cases[0]
-    for case in cases:
-        check(*case)
+    check(loop, scenario)
+    for case in cases[1:]:
+        check_numbers(*case)
     with jax.enable_x64(True):
         if compiled is None:
             compiled = can_compile(loop, scenario)
@@ -133,7 +135,7 @@ def simulate_many(
         else:
             end, rows = _step_through(cases, batch, record, progress)
         end, rows = jax.tree.map(np.asarray, (end, rows))
-        return [_run(*case, end, rows, lane, compiled) for lane, case in enumerate(cases)]
+        return [_run(scn, end, rows, lane, compiled) for lane, (_, scn) in enumerate(cases)]
 
 
 def can_compile(loop: Loop, scenario: Scenario) -> bool:
@@ -331,7 +333,7 @@ def _command_shape(loop: Loop, scn: Scenario, compiled: bool) -> tuple[int, ...]
     return np.shape(controller.step(controller.init(), r, r)[1])
 
 
-def _run(loop: Loop, scn: Scenario, end: Flight, rows: Row, lane: int, compiled: bool) -> Run:
+def _run(scn: Scenario, end: Flight, rows: Row, lane: int, compiled: bool) -> Run:
     """One lane as a `Run`, cut before its failure."""
     culprit = CULPRITS[int(end.culprit[lane])]
     periods = scn.periods if not culprit else int(end.failed[lane])
@@ -341,14 +343,16 @@ def _run(loop: Loop, scn: Scenario, end: Flight, rows: Row, lane: int, compiled:
         return a[lane].reshape(-1, *a.shape[3:])[:length]
 
     row = jax.tree.map(cut, rows)
-    reference = np.atleast_2d(np.asarray(reference_at(loop, scn)))
-    held = np.repeat(np.broadcast_to(reference, (scn.periods, reference.shape[1])), scn.samples, axis=0)
+    reference = 0.0 if scn.reference is None else np.asarray(scn.reference, float)
+    if np.ndim(reference) == 2:
+        reference = np.repeat(reference, scn.samples, axis=0)[:length]
     return Run(
+        duration=scn.periods * scn.dt,
         time=np.arange(length) * scn.h,
         states=row.state,
         outputs=row.output,
         estimates=row.estimate,
-        references=held[:length],
+        references=np.broadcast_to(reference, row.output.shape).copy(),
         commands=row.command,
         inputs=row.input,
         extra=row.extra,

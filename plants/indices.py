@@ -1,0 +1,200 @@
+"""Pointing performance by ECSS-E-ST-60-10C, wheel effort and settling time of a run.
+
+Errors are 3-2-1 Euler angles of an error rotation, per axis:
+
+    APE  absolute performance error      true attitude against the desired
+    control error                        estimated attitude against the desired
+    AKE  absolute knowledge error        true attitude against the estimated
+    PSE  performance stability error     APE(t) - APE(t - delta_t)
+
+The temporal interpretation holds: an index is the level that the magnitude of the error does not exceed for the
+given share of the time, here the smallest recorded value with that property. Pecorilla and Stesina (2024), table 1.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from plants import attitude, blocks
+from plants.errors import ScenarioError
+from plants.loop import Run
+
+STATIC = {"static": True}  # settings: the same for all runs that are put together
+
+
+@dataclass(frozen=True, kw_only=True)
+class Indices:
+    """Pointing indices of a run; of several runs when the arrays have a leading axis of runs.
+
+    A run that failed, or did not reach the window, has infinite indices: it meets no requirement.
+    """
+
+    ape: np.ndarray  # (..., 3) rad, roll pitch yaw
+    control_error: np.ndarray  # (..., 3) rad
+    ake: np.ndarray  # (..., 3) rad
+    pse: np.ndarray  # (..., 3) rad per delta_t
+    settling_time: np.ndarray  # (...) s, after which the true attitude error stays below `threshold`
+    torque_rms: np.ndarray  # (..., m) N m, of every wheel motor over the whole run
+    effort: np.ndarray  # (..., m) N m s, integral of |torque| over the whole run
+    momentum_peak: np.ndarray  # (..., m) N m s, largest |integral of torque|, counted from the start
+    start: float = field(metadata=STATIC)  # s, beginning of the window of the four errors
+    end: float = field(metadata=STATIC)  # s, its end
+    delta_t: float = field(metadata=STATIC)  # s, of the PSE
+    share: float = field(metadata=STATIC)  # () of the time
+    threshold: float = field(metadata=STATIC)  # rad, angle of the whole error rotation
+
+    def __str__(self) -> str:
+        """A table in degrees; of several runs the median and the worst."""
+        head = (
+            f"{self.share:.0%} of the time, {self.start:g} to {self.end:g} s; PSE over {self.delta_t:g} s\n"
+            f"{'deg':16}{'roll':>10}{'pitch':>10}{'yaw':>10}"
+        )
+        lines = [head]
+        for name, value in (
+            ("APE", self.ape),
+            ("control error", self.control_error),
+            ("AKE", self.ake),
+            ("PSE", self.pse),
+        ):
+            lines += _lines(name, np.degrees(value), "{:10.4f}")
+        lines += _lines("torque rms uNm", 1e6 * self.torque_rms, "{:10.3f}")
+        lines += _lines("effort mNms", 1e3 * self.effort, "{:10.3f}")
+        lines += _lines("momentum mNms", 1e3 * self.momentum_peak, "{:10.4f}")
+        label = f"settles to {np.degrees(self.threshold):g} deg, s"
+        return "\n".join([*lines, *_lines(label, self.settling_time[..., None], "{:10.1f}")])
+
+
+def indices(
+    runs: Run | Sequence[Run],
+    *,
+    start: float = 300.0,
+    delta_t: float = 1.0,
+    share: float = 0.95,
+    threshold: float = np.radians(1.0),
+) -> Indices:
+    """Pointing indices of one run, or of several with a leading axis.
+
+    Parameters
+    ----------
+    runs : Run or sequence of Run
+        Outputs, estimates and references are (6,), beginning with the vector part of a quaternion.
+    start : () s, where the window of the four errors begins; it ends with the run
+    delta_t : () s, of the PSE; a whole number of samples
+    share : () of the time, in (0, 1]
+    threshold : () rad, for the settling time
+
+    Raises
+    ------
+    ScenarioError
+        A window beyond the end of every run, a delta_t that is not a whole number of samples, a share outside
+        (0, 1], outputs that are not attitudes.
+    """
+    if not 0 < share <= 1:
+        raise ScenarioError(f"share = {share}: give a part of the time in (0, 1]")
+    if not isinstance(runs, Run):
+        if not runs:
+            raise ScenarioError("runs: got none; give at least one")
+        parts = [indices(run, start=start, delta_t=delta_t, share=share, threshold=threshold) for run in runs]
+        return blocks.join(parts)
+    if runs.outputs.ndim != 2 or runs.outputs.shape[1] < 3:
+        raise ScenarioError(f"outputs have shape {runs.outputs.shape}: attitudes (N, 3) or (N, 6) are needed")
+    if not 0 <= start < runs.duration:
+        raise ScenarioError(f"start = {start} s is outside the run, which lasts {runs.duration} s")
+    if not runs.ok:
+        worst, never = np.full(3, np.inf), np.full(runs.inputs.shape[1], np.inf)
+        errors, settling, loads = (worst,) * 4, np.array(np.inf), (never,) * 3
+    else:
+        errors, settling = _errors(runs, start, delta_t, share, threshold)
+        loads = _loads(runs.inputs, _period(runs))
+    return Indices(
+        ape=errors[0],
+        control_error=errors[1],
+        ake=errors[2],
+        pse=errors[3],
+        settling_time=settling,
+        torque_rms=loads[0],
+        effort=loads[1],
+        momentum_peak=loads[2],
+        start=start,
+        end=runs.duration,
+        delta_t=delta_t,
+        share=share,
+        threshold=threshold,
+    )
+
+
+def error(a: ArrayLike, b: ArrayLike) -> Array:
+    """Quaternion of the rotation from b to a, given as vector parts (N, 3); traceable."""
+
+    def whole(v: ArrayLike) -> Array:
+        v = jnp.asarray(v)
+        return jnp.concatenate([jnp.sqrt(jnp.maximum(1 - attitude.dot(v, v), 0.0))[:, None], v], axis=-1)
+
+    return attitude.compose(whole(a), attitude.conjugate(whole(b)))
+
+
+def quantile(errors: np.ndarray, share: float) -> np.ndarray:
+    """Smallest recorded |error| that is not exceeded for the given share of the time: (N, ...) -> (...)."""
+    return np.quantile(np.abs(errors), share, axis=0, method="inverted_cdf")
+
+
+def stability(errors: np.ndarray, lag: int) -> np.ndarray:
+    """error(t) - error(t - lag), angles taken the short way round: (N, ...) -> (N - lag, ...) rad."""
+    return (errors[lag:] - errors[:-lag] + np.pi) % (2 * np.pi) - np.pi
+
+
+def settling_time(time: np.ndarray, angle: np.ndarray, threshold: float) -> float:
+    """First time (s) from which the angle (N,) stays below the threshold; infinite if it ends above."""
+    above = np.flatnonzero(~(angle < threshold))
+    if above.size == 0:
+        return float(time[0])
+    return float(time[above[-1] + 1]) if above[-1] + 1 < len(time) else np.inf
+
+
+def _errors(run: Run, start: float, delta_t: float, share: float, threshold: float) -> Any:
+    """The four indices and the settling time of a sound run."""
+    lag = delta_t / _period(run)
+    if round(lag) < 1 or not np.isclose(lag, round(lag), rtol=0, atol=1e-6) or round(lag) >= len(run.time):
+        raise ScenarioError(
+            f"delta_t = {delta_t} s: give a whole number of samples of {_period(run)} s, shorter than the run"
+        )
+    true, known, desired = (a[:, :3] for a in (run.outputs, run.estimates, run.references))
+    with jax.enable_x64(True):
+        ape, control_error, ake, angle = (np.asarray(a) for a in _angles(true, known, desired))
+    window = run.time >= start - 1e-9
+    drift = stability(ape, round(lag))[window[round(lag) :]]
+    errors = tuple(quantile(e, share) for e in (ape[window], control_error[window], ake[window], drift))
+    return errors, np.array(settling_time(run.time, angle, threshold))
+
+
+@jax.jit
+def _angles(true: Any, known: Any, desired: Any) -> Any:
+    """Euler angles (N, 3) rad of APE, control error and AKE, and the whole angle (N,) rad of APE."""
+    miss = error(true, desired)
+    to_euler = attitude.to_euler
+    return to_euler(miss), to_euler(error(known, desired)), to_euler(error(true, known)), attitude.angle(miss)
+
+
+def _loads(torque: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rms torque, integral of |torque| and peak of |integral of torque| for a torque (N, m) held for h s."""
+    effort = h * np.abs(torque).sum(axis=0)
+    return np.sqrt(np.mean(torque**2, axis=0)), effort, np.max(np.abs(h * np.cumsum(torque, axis=0)), axis=0)
+
+
+def _period(run: Run) -> float:
+    """Sampling period of a run, s."""
+    return float(run.time[1] - run.time[0])
+
+
+def _lines(name: str, value: np.ndarray, form: str) -> list[str]:
+    """Table lines of one quantity: one run as it is, several as median and worst."""
+    if value.ndim == 1:
+        return [f"{name:16}" + "".join(form.format(v) for v in value)]
+    rows = ((f"{name}, median", np.median(value, axis=0)), ("  worst", value.max(axis=0)))
+    return [f"{label:24}" + "".join(form.format(v) for v in row) for label, row in rows]
