@@ -30,6 +30,7 @@ from plants.errors import ScenarioError
 from plants.orbit import EARTH_RADIUS, Orbit
 
 DAY = 86400.0  # () s
+EARLIEST, LATEST = datetime(1972, 1, 1), datetime(2030, 1, 1)  # UTC with leap seconds; IGRF-14
 FLATTENING = 1 / 298.257223563  # ()  WGS 84
 SUN_ANGULAR_RADIUS = 6.957e8 / erfa.DAU  # () rad  nominal solar radius (IAU 2015 resolution B3) at 1 au
 
@@ -96,7 +97,7 @@ class Environment:
         Raises
         ------
         ScenarioError
-            NaN, negative or zero duration or step, an epoch that IGRF does not cover, an orbit inside the Earth.
+            NaN, negative or zero duration or step, an epoch before 1972 or after 2029, an orbit inside the Earth.
         """
         for name, value in (("duration", duration), ("step", step)):
             if not real(name, value) > 0:
@@ -174,13 +175,10 @@ class FreeSpace:
 def magnetic_field(r: np.ndarray, epoch: datetime, times: np.ndarray) -> np.ndarray:
     """Geomagnetic field in T along r (..., n, 3) m at the times (n,) s after `epoch`, both in frame N.
 
-    IGRF of degree 13, with the coefficients of the middle of the interval (they drift by about 1 nT in four
-    days). Raises ScenarioError for an epoch the coefficients do not cover.
+    IGRF of degree 13, with the coefficients of the middle of the interval (they drift by less than 1 nT in
+    three days).
     """
-    utc = epoch.astimezone(UTC).replace(tzinfo=None) if epoch.tzinfo else epoch
-    middle = utc + timedelta(seconds=float(times[-1]) / 2)
-    if not datetime(1900, 1, 1) <= middle <= datetime(2030, 1, 1):
-        raise ScenarioError(f"epoch must lie between 1900 and 2030, where IGRF-14 has coefficients; got {epoch}")
+    middle = _utc(epoch, float(times[-1])) + timedelta(seconds=float(times[-1]) / 2)
     utc1, utc2, tt1, tt2 = _julian(epoch, times)
     to_earth = erfa.c2t06a(tt1, tt2, utc1, utc2, 0.0, 0.0)  # (n, 3, 3) GCRS to ITRS
     x, y, z = np.moveaxis((to_earth @ r[..., None])[..., 0], -1, 0)
@@ -228,11 +226,22 @@ def _without_jumps(q: np.ndarray) -> np.ndarray:
 
 def _julian(epoch: datetime, times: np.ndarray) -> tuple[np.ndarray, ...]:
     """Two-part Julian dates, UTC and TT, at times (n,) s after the epoch."""
-    utc = epoch.astimezone(UTC) if epoch.tzinfo else epoch
+    utc = _utc(epoch, float(times[-1]))
     seconds = utc.second + utc.microsecond * 1e-6
     utc1, utc2 = erfa.dtf2d("UTC", utc.year, utc.month, utc.day, utc.hour, utc.minute, seconds)
     tt1, tt2 = erfa.taitt(*erfa.utctai(utc1, utc2))
     return utc1, utc2 + times / DAY, tt1, tt2 + times / DAY
+
+
+def _utc(epoch: datetime, duration: float) -> datetime:
+    """The epoch in UTC without time zone; ScenarioError if it, or the end of the run, is out of range."""
+    utc = epoch.astimezone(UTC).replace(tzinfo=None) if epoch.tzinfo else epoch
+    if not EARLIEST <= utc <= LATEST - timedelta(seconds=duration):
+        raise ScenarioError(
+            f"epoch {epoch} with {duration:g} s to go must lie between {EARLIEST:%Y} (leap seconds) "
+            f"and {LATEST:%Y} (IGRF-14): move it"
+        )
+    return utc
 
 
 def _without_field() -> OrbitEnv:
