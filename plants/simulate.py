@@ -340,7 +340,7 @@ def _run(scn: Scenario, end: Flight, rows: Row, lane: int, compiled: bool) -> Ru
     length = periods * scn.samples
 
     def cut(a: np.ndarray) -> np.ndarray:
-        return a[lane].reshape(-1, *a.shape[3:])[:length]
+        return a[lane].reshape(a.shape[1] * a.shape[2], *a.shape[3:])[:length]
 
     row = jax.tree.map(cut, rows)
     reference = 0.0 if scn.reference is None else np.asarray(scn.reference, float)
