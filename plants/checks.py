@@ -37,7 +37,10 @@ def real(
     if traced and value.dtype != np.float64:
         raise ScenarioError(f"{name} is traced as {value.dtype}: enter `jax.enable_x64(True)` around the call")
     try:
-        array = value if traced else np.asarray(value, dtype=np.float64)
+        array = value if traced else np.asarray(value)
+        if not np.can_cast(array.dtype, np.float64, "same_kind"):
+            raise TypeError(f"{array.dtype} is not real")
+        array = value if traced else array.astype(np.float64)
     except (TypeError, ValueError) as error:
         raise ScenarioError(f"{name} must be real numbers, got {value!r}") from error
     if len(array.shape) != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
