@@ -262,6 +262,19 @@ def test_a_delay_destabilises_unless_it_is_in_the_prediction(form, literature):
     assert spectral_radius(loop_matrix(aware, 1)) < 0.9
 
 
+@pytest.mark.parametrize("form", FORMS)
+def test_regulates_through_a_delay_and_counts_the_momentum_when_it_moves(form):
+    delay, controller = 2, mpc(MODEL, form=form, delay=2, **TABLE_3, **SOFT)
+    state, x, U = controller.init(), np.array([-0.13, 0.22, 0.09, 0, 0.0011, 0]), [np.zeros(3)] * delay
+    for k in range(150):
+        state, u = controller.step(state, x, REST)
+        U.append(u)
+        x = MODEL.A @ x + MODEL.B @ U[k]
+        np.testing.assert_allclose(state.momentum, -0.5 * np.sum(U[: k + 1], axis=0), rtol=1e-12, atol=1e-17)
+        assert np.abs(x[3:]).max() <= RATE * (1 + 1e-9)
+    assert np.abs(x).max() <= 1e-6
+
+
 def test_result_depends_on_the_arguments_alone(controllers):
     controller, rng = controllers["velocity", 1], np.random.default_rng(7)
     cases = [random_case(controller, rng, size) for size in (0.01, 0.1, 1.0) for _ in range(5)]
