@@ -26,6 +26,7 @@ REGULARISATIONS = (1e-4, 1e-3, 1e-2, 1e-1)  # of LQR and Kalman, relative to the
 FLOOR = 1e-8  # relative, on the singular values of the state transform
 BOUNDARY = 1e-12  # modes this close to the stability boundary count as not stable
 LOST = 1e-13  # relative distance to a loss of rank, per state, that rounding explains
+ILL_POSED = 1e-12  # relative distance of I + Dk D22 to singular
 SWEEPS = 50  # of the power-of-two balancing; about five are used
 
 
@@ -51,11 +52,13 @@ class Conditioned:
         NumericalError : the loop through D22 is not well posed (I + Dk D22 is singular).
         """
         B, C, D = K.B @ self.Sy, self.Su @ K.C, self.Su @ K.D @ self.Sy
-        E = np.eye(len(D)) + D @ self.D22
-        if np.linalg.cond(E) > 1e12:
+        loop = D @ self.D22
+        E = np.eye(len(D)) + loop
+        distance = np.linalg.norm(E, -2) / (1 + np.linalg.norm(loop, 2))
+        if distance < ILL_POSED:
             raise NumericalError(
-                "the controller's direct term and D22 form an algebraic loop that has no solution "
-                f"(condition of I + Dk D22 is {np.linalg.cond(E):.1e}); delay the measurement or ask for a larger gamma"
+                "the controller's direct term and D22 form an algebraic loop without a solution (I + Dk D22 is within "
+                f"{distance:.1e} of singular); model the delay of the loop or ask for a larger gamma"
             )
         CE, DE = np.linalg.solve(E, C), np.linalg.solve(E, D)
         return StateSpace(K.A - B @ self.D22 @ CE, B - B @ self.D22 @ DE, CE, DE, K.dt)
@@ -251,7 +254,9 @@ def _lqg_balancing(X: np.ndarray, Y: np.ndarray) -> tuple[np.ndarray, np.ndarray
     Lx, Ly = _factor(X), _factor(Y)
     _, s, Vt = np.linalg.svd(Lx.T @ Ly)
     root = np.sqrt(np.maximum(s, FLOOR * s.max(initial=0.0)))
-    return Ly @ Vt.T / root, root[:, None] * (Vt @ np.linalg.inv(Ly))
+    T, Ti = Ly @ Vt.T / root, root[:, None] * (Vt @ np.linalg.inv(Ly))
+    sign = np.sign(T[np.abs(T).argmax(axis=0), range(len(T))])  # the same for the same plant
+    return T * sign, sign[:, None] * Ti
 
 
 def _factor(M: np.ndarray) -> np.ndarray:

@@ -65,3 +65,21 @@ def random_plant(
         D21[-1] = 0
     D11, D22 = r(nz, nw) * direct, 0.3 * r(ny, nu) * direct
     return GeneralizedPlant(A, r(n, nw), r(n, nu), r(nz, n), D11, D12, r(ny, n), D21, D22, 1.0)
+
+
+def mass_spring_chain(n: int) -> GeneralizedPlant:
+    """n/2 masses of 1 kg between two walls, springs 1 N/m, dampers 0.02 N s/m, zero-order hold of 0.2 s.
+
+    w: a force on every mass (1 N) and noise of the sensor (0.1 m); z: all positions and the control force;
+    u: a force on the last mass; y: the position of the first one.
+    """
+    N = n // 2
+    K = 2 * np.eye(N) - np.eye(N, k=1) - np.eye(N, k=-1)
+    A = np.block([[np.zeros((N, N)), np.eye(N)], [-K, -0.02 * K]])
+    G = c2d(StateSpace(A, np.eye(n)[:, N:], np.eye(n), np.zeros((n, N))), 0.2)
+    O, I = np.zeros, np.eye(n)
+    return GeneralizedPlant(
+        A=G.A, B1=np.hstack([G.B, O((n, 1))]), B2=G.B[:, -1:],
+        C1=np.vstack([I[:N], O((1, n))]), D11=O((N + 1, N + 1)), D12=np.eye(N + 1)[:, -1:],
+        C2=I[:1], D21=0.1 * np.eye(N + 1)[-1:], D22=O((1, 1)), dt=0.2,
+    )  # fmt: skip
