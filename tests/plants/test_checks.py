@@ -1,0 +1,47 @@
+"""What may enter a plant, and what may not."""
+
+import jax
+import numpy as np
+import pytest
+
+from plants.checks import real
+from plants.errors import ScenarioError
+
+
+def test_numbers_come_back_as_float64_arrays():
+    for value in (2, 2.0, np.float32(2), [2], np.array([True])):
+        got = real("size", value, np.shape(value))
+        assert isinstance(got, np.ndarray)
+        assert got.dtype == np.float64
+    limit = real("limit", np.inf, infinite=True)
+    assert limit == np.inf
+
+
+def test_tracers_pass_if_they_are_of_the_right_shape_and_precision():
+    with jax.enable_x64(True):
+        assert jax.jit(lambda v: real("v", v, (3,), low=0))(-np.ones(3)).sum() == -3  # values cannot be checked
+        with pytest.raises(ScenarioError, match="v must have shape"):
+            jax.jit(lambda v: real("v", v, (2,)))(np.ones(3))
+        with pytest.raises(ScenarioError, match="v is traced as float32"):
+            jax.jit(lambda v: real("v", v, (3,)))(np.ones(3, np.float32))
+
+
+@pytest.mark.parametrize(
+    ("value", "options", "message"),
+    [
+        ("north", {}, "gain must be real numbers"),
+        (None, {}, "gain must be real numbers"),
+        (1j, {}, "gain must be real numbers"),
+        ([[1.0], [1.0, 2.0]], {"shape": (2, None)}, "gain must be real numbers"),
+        ([1.0, 2.0], {}, r"gain must have shape \(\), got \(2,\)"),
+        ([1.0, 2.0], {"shape": (None, 3)}, "gain must have shape"),
+        (np.nan, {}, "gain must be finite"),
+        (np.nan, {"infinite": True}, "gain must be finite"),
+        (np.inf, {}, "gain must be finite"),
+        (-np.inf, {"infinite": True}, "gain must be finite"),
+        (-1.0, {"low": 0}, "gain must be at least 0"),
+    ],
+)
+def test_the_rest_is_refused_by_name(value, options, message):
+    with pytest.raises(ScenarioError, match=message):
+        real("gain", value, **options)
