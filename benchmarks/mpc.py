@@ -17,7 +17,7 @@ import cvxpy as cp
 import daqp
 import numpy as np
 
-from synth.mpc import Mpc, MpcState, mpc
+from synth.predictive import Mpc, MpcState, mpc
 from synth.statespace import StateSpace, c2d
 
 TORQUE, MOMENTUM, RATE = 1e-3, 10.8e-3, np.radians(2)  # N m, N m s, rad/s

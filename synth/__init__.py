@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from synth.controller import LinearController as LinearController
-    from synth.controller import StateFeedback as StateFeedback
+    from synth.controller import proportional_derivative as proportional_derivative
+    from synth.controller import state_feedback as state_feedback
     from synth.design import Design as Design
     from synth.design import Info as Info
     from synth.errors import AssumptionError as AssumptionError
@@ -21,11 +22,11 @@ if TYPE_CHECKING:
     from synth.errors import VerificationError as VerificationError
     from synth.generalized import GeneralizedPlant as GeneralizedPlant
     from synth.hinfinity import hinfsyn as hinfsyn
-    from synth.mpc import Mpc as Mpc
-    from synth.mpc import mpc as mpc
     from synth.norms import h2norm as h2norm
     from synth.norms import hinfnorm as hinfnorm
     from synth.norms import verify as verify
+    from synth.predictive import Mpc as Mpc
+    from synth.predictive import mpc as mpc
     from synth.statespace import StateSpace as StateSpace
     from synth.statespace import c2d as c2d
     from synth.statespace import feedback as feedback
@@ -40,9 +41,8 @@ _HOME = {
     "Info": "design",
     "LinearController": "controller",
     "ModelError": "errors",
-    "Mpc": "mpc",
+    "Mpc": "predictive",
     "NumericalError": "errors",
-    "StateFeedback": "controller",
     "StateSpace": "statespace",
     "SynthError": "errors",
     "VerificationError": "errors",
@@ -52,8 +52,10 @@ _HOME = {
     "hinfnorm": "norms",
     "hinfsyn": "hinfinity",
     "lft": "statespace",
-    "mpc": "mpc",
+    "mpc": "predictive",
+    "proportional_derivative": "controller",
     "series": "statespace",
+    "state_feedback": "controller",
     "verify": "norms",
 }
 

@@ -24,7 +24,7 @@ from scipy.optimize import minimize_scalar
 from synth.errors import NumericalError, VerificationError
 from synth.statespace import StateSpace, cayley, cayley_rate
 
-CONFIRM = (*(10.0**k for k in range(-7, 4)),)  # relative margins at which the second method confirms the first
+CONFIRM = (*(10.0**k for k in range(-7, 9)),)  # relative margins at which the second method confirms the first
 ROUNDOFF = 1e-9  # a norm below this part of the closed loop's own entries is reported as this part
 NEAR_CIRCLE = 1e-4  # an eigenvalue this near the unit circle is a candidate crossing; candidates are then evaluated
 
@@ -131,7 +131,7 @@ def confirm(G: StateSpace, peak: float) -> float:
             return float(peak * (1 + margin))
     raise VerificationError(
         f"the level-set method finds a norm of {peak:.6g}, the bounded-real Riccati equation has no solution "
-        f"even {CONFIRM[-1]:.0f} times above it: the closed loop is too ill-conditioned to be judged"
+        f"even {CONFIRM[-1]:.0e} times above it: the closed loop is too ill-conditioned to be judged"
     )
 
 

@@ -12,6 +12,7 @@ from synth.errors import AssumptionError, InfeasibleError, ModelError, Numerical
 from synth.generalized import GeneralizedPlant
 from synth.hinfinity import hinfsyn
 from synth.norms import hinfnorm, is_stable
+from synth.precondition import precondition
 from synth.statespace import StateSpace, lft
 
 GAMMA_TOLERANCE = {"lmi": 1e-6, "riccati": 1e-6, "standard": 2e-5, "extended": 2e-5}  # relative
@@ -48,31 +49,16 @@ dimensions = {
 }  # fmt: skip
 
 
-def slicot_optimum(P: GeneralizedPlant) -> float | None:
-    """Lowest level at which sb10dd's controller was closed around the plant and found to keep it; None without one."""
+def slicot_norm(P: GeneralizedPlant, level: float) -> float:
+    """Norm of the loop that sb10dd's controller for `level` closes; infinite when there is none or it is unstable."""
     slycot = pytest.importorskip("slycot", reason="slycot (SLICOT) is the oracle of this test")
     n, nw, nu, nz, ny = P.sizes
     G = P.system
-    best, low, high = None, 0.0, None
-    level = 1e4
-    for _ in range(40):
-        norm = np.inf
-        try:
-            out = slycot.sb10dd(n, nw + nu, nz + ny, nu, ny, level, G.A, G.B, G.C, G.D)
-            closed = lft(G, StateSpace(*out[1:5] if np.ndim(out[0]) == 0 else out[:4], P.dt), ny, nu)
-            norm = hinfnorm(closed)[0]
-        except (slycot.exceptions.SlycotArithmeticError, ArithmeticError, ModelError, ValueError):
-            pass
-        if norm <= level * (1 + 1e-6):
-            best = high = min(level, norm)
-        elif high is None:
-            return None
-        else:
-            low = level
-        level = np.sqrt(max(low, 1e-3 * high) * high) if low else high / 2
-        if low and high / low < 1 + 1e-4:
-            break
-    return best
+    try:
+        _, Ak, Bk, Ck, Dk, *_ = slycot.sb10dd(n, nw + nu, nz + ny, nu, ny, level, G.A, G.B, G.C, G.D)
+        return hinfnorm(lft(G, StateSpace(Ak, Bk, Ck, Dk, P.dt), ny, nu))[0]
+    except (slycot.exceptions.SlycotArithmeticError, ModelError):
+        return np.inf
 
 
 @pytest.mark.slow
@@ -85,10 +71,12 @@ def test_random_plants_get_verified_controllers(seed, n, nu, ny, extra_z, extra_
     assert is_stable(design.closed_loop)
     measured = hinfnorm(P.close(design.controller))[0]
     assert measured <= design.verified_norm * (1 + 1e-9) <= 1.01 * design.gamma * (1 + 1e-9)
-    theirs = slicot_optimum(P)
-    if theirs is not None:
-        assert design.verified_norm <= 1.01 * theirs
-        assert design.gamma <= 1.01 * theirs
+    zero = 1e-3 * precondition(P).scale  # where control can be perfect the optimum is 0: compare with the LQG loop
+    for factor in (0.5, 0.8, 0.95, 0.98, 1.01):
+        level = factor * design.gamma
+        theirs = slicot_norm(P, level)
+        if theirs <= level:
+            assert design.verified_norm <= 1.01 * max(theirs, zero)
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
 
 from synth.errors import ModelError, NumericalError
-from synth.mpc import MpcState, mpc, pose
+from synth.predictive import MpcState, mpc, pose
 from synth.parametricqp import ParametricQp, canonicalise
 from synth.statespace import StateSpace, c2d
 
