@@ -126,10 +126,10 @@ def hinfsyn(
         if found is None:
             continue
         norm, claim = found.measured.norm, optimum * scale
-        reached = claim if gamma or norm <= (1 + ACCEPT) * claim else found.level
-        if norm > reached * (1 if gamma else 1 + ACCEPT):
-            failures[name] = f"best verified norm {norm:.6g} for a level of {reached:.6g}"
+        if gamma and norm > gamma:
+            failures[name] = f"best verified norm {norm:.6g} for a level of {gamma:.6g}"
             continue
+        reached = claim if norm <= (1 + ACCEPT) * claim else norm
         versions, date = provenance("cvxpy", "clarabel")
         info = Info(
             method=name,
@@ -165,7 +165,11 @@ def best_of(
     judged: Callable[[StateSpace, float], Candidate],
     failures: dict[str, str],
 ) -> Candidate | None:
-    """The first controller that keeps its claim, else the one with the smallest verified norm, else None."""
+    """The controller with the smallest verified norm, once one has kept its claim; None when none did.
+
+    A claim is kept when the norm is at the level the controller was designed for or, after all levels were tried,
+    near it.
+    """
     best: Candidate | None = None
     for level in levels:
         try:
@@ -181,7 +185,7 @@ def best_of(
                     return best
         except (NumericalError, InfeasibleError) as error:
             failures[f"attempt {len(failures) + 1}, level {level:.9g}"] = str(error)
-    return best
+    return best if best is not None and best.measured.norm <= (1 + ACCEPT) * best.level else None
 
 
 def suboptimal(plant: GeneralizedPlant, method: str, gamma: float) -> Design:
