@@ -7,7 +7,7 @@ of frame O), 3 mm, 0.001 nT and 1e-8 of the solar disc of their sources.
 Frame N is the GCRS; its z axis also serves as the Earth's axis for J2 and for the air that turns with the Earth
 (precession since 2000 is 0.13 deg in 2024), while the field is evaluated in the true terrestrial frame with
 UT1 = UTC and no polar motion. The Sun is geometric (no aberration), seen from the spacecraft. The shadow is the
-cone of a spherical Earth whose limb is taken as straight across the solar disc.
+cone of a spherical Earth whose limb is taken as straight across a solar disc that darkens towards its edge.
 """
 
 from dataclasses import dataclass
@@ -209,12 +209,13 @@ def limb_angle(r: np.ndarray, sun: np.ndarray) -> np.ndarray:
 
 
 def visible_fraction(angle: ArrayLike) -> Array:
-    """Fraction of the solar disc above a straight limb, its centre at `angle` (...) rad above it: (...)."""
-    x = jnp.asarray(angle) / SUN_ANGULAR_RADIUS
-    partly = jnp.abs(x) < 1
-    y = jnp.where(partly, x, 0.0)  # keeps the slopes of arcsin and sqrt finite where they are not used
-    segment = 0.5 + (jnp.arcsin(y) + y * jnp.sqrt(1 - y**2)) / jnp.pi
-    return jnp.where(partly, segment, jnp.where(x > 0, 1.0, 0.0))
+    """Fraction of sunlight that passes a straight limb when the Sun's centre is `angle` (...) rad above it: (...).
+
+    For a disc as bright as sqrt(1 - (distance from its centre)^2): with a uniform disc, of which an arcsine would
+    be the price, this brackets the true limb darkening, within 0.02 either way.
+    """
+    x = jnp.clip(jnp.asarray(angle) / SUN_ANGULAR_RADIUS, -1, 1)
+    return 0.5 + 0.25 * x * (3 - x**2)
 
 
 def _without_jumps(q: np.ndarray) -> np.ndarray:

@@ -105,7 +105,7 @@ def test_frame_attitude_has_no_jumps_over_a_revolution(surroundings):
 
 
 def test_shadow_against_the_overlap_of_two_discs(surroundings):
-    """Both discs as seen from the spacecraft, counted on a grid of points over the Sun's disc."""
+    """Both discs as seen from the spacecraft, summed on a grid of points over the Sun's darkened disc."""
     period = 2 * np.pi / float(orbit.rate(LOW.r))
     got = sample(surroundings, np.arange(0, period, 1.0))
     cosine = -np.sum(got.r * got.sun, axis=1) / np.linalg.norm(got.r, axis=1)
@@ -113,8 +113,9 @@ def test_shadow_against_the_overlap_of_two_discs(surroundings):
     earth = np.arcsin(orbit.EARTH_RADIUS / np.linalg.norm(got.r, axis=1))
     x, y = np.meshgrid(*2 * [np.linspace(-1, 1, 201)])
     inside = x**2 + y**2 < 1
+    brightness = np.sqrt(1 - (x**2 + y**2)[inside])
     radius = environment.SUN_ANGULAR_RADIUS
-    seen = [np.mean(np.hypot(s + radius * x[inside], radius * y[inside]) > e)
+    seen = [np.average(np.hypot(s + radius * x[inside], radius * y[inside]) > e, weights=brightness)
             for s, e in zip(separation, earth, strict=True)]  # fmt: skip
     partly = (got.sunlit > 0) & (got.sunlit < 1)
     assert 10 < partly.sum() < 40  # two passages of about 8 s
@@ -130,7 +131,7 @@ def test_visible_fraction_is_exact_at_its_ends_and_has_slopes():
     for angle, fraction in ((-1.2, 0.0), (-radius, 0.0), (0.0, 0.5), (radius, 1.0), (1.2, 1.0)):
         assert environment.visible_fraction(angle) == fraction
     slopes = jax.vmap(jax.grad(environment.visible_fraction))(np.array([-1.0, -radius, 0.0, radius, 1.0]))
-    np.testing.assert_allclose(slopes, [0, 0, 2 / np.pi / radius, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(slopes, [0, 0, 0.75 / radius, 0, 0], atol=1e-12)
 
 
 def test_density_is_the_tabulated_one_at_the_reference_altitude():
