@@ -13,7 +13,7 @@ given share of the time, here the smallest recorded value with that property. Pe
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -108,15 +108,15 @@ def indices(
         raise ScenarioError(f"start = {start} s is outside the run, which lasts {runs.duration} s")
     if not runs.ok:
         worst, never = np.full(3, np.inf), np.full(runs.inputs.shape[1], np.inf)
-        errors, settling, loads = (worst,) * 4, np.array(np.inf), (never,) * 3
+        levels, settling, loads = (worst,) * 4, np.array(np.inf), (never,) * 3
     else:
-        errors, settling = _errors(runs, start, delta_t, share, threshold)
+        levels, settling = _levels(runs, start, delta_t, share, threshold)
         loads = _loads(runs.inputs, _period(runs))
     return Indices(
-        ape=errors[0],
-        control_error=errors[1],
-        ake=errors[2],
-        pse=errors[3],
+        ape=levels[0],
+        control_error=levels[1],
+        ake=levels[2],
+        pse=levels[3],
         settling_time=settling,
         torque_rms=loads[0],
         effort=loads[1],
@@ -127,6 +127,23 @@ def indices(
         share=share,
         threshold=threshold,
     )
+
+
+class Errors(NamedTuple):
+    """Errors of a run over time, 3-2-1 Euler angles."""
+
+    ape: np.ndarray  # (N, 3) rad, true against desired
+    control_error: np.ndarray  # (N, 3) rad, estimated against desired
+    ake: np.ndarray  # (N, 3) rad, true against estimated
+    angle: np.ndarray  # (N,) rad, of the whole rotation from desired to true
+
+
+def errors(run: Run) -> Errors:
+    """What the indices of a run are percentiles of."""
+    with jax.enable_x64(True):
+        return Errors(
+            *(np.asarray(a) for a in _angles(run.outputs[:, :3], run.estimates[:, :3], run.references[:, :3]))
+        )
 
 
 def error(a: ArrayLike, b: ArrayLike) -> Array:
@@ -157,20 +174,18 @@ def settling_time(time: np.ndarray, angle: np.ndarray, threshold: float) -> floa
     return float(time[above[-1] + 1]) if above[-1] + 1 < len(time) else np.inf
 
 
-def _errors(run: Run, start: float, delta_t: float, share: float, threshold: float) -> Any:
+def _levels(run: Run, start: float, delta_t: float, share: float, threshold: float) -> Any:
     """The four indices and the settling time of a sound run."""
     lag = delta_t / _period(run)
     if round(lag) < 1 or not np.isclose(lag, round(lag), rtol=0, atol=1e-6) or round(lag) >= len(run.time):
         raise ScenarioError(
             f"delta_t = {delta_t} s: give a whole number of samples of {_period(run)} s, shorter than the run"
         )
-    true, known, desired = (a[:, :3] for a in (run.outputs, run.estimates, run.references))
-    with jax.enable_x64(True):
-        ape, control_error, ake, angle = (np.asarray(a) for a in _angles(true, known, desired))
+    ape, control_error, ake, angle = errors(run)
     window = run.time >= start - 1e-9
     drift = stability(ape, round(lag))[window[round(lag) :]]
-    errors = tuple(quantile(e, share) for e in (ape[window], control_error[window], ake[window], drift))
-    return errors, np.array(settling_time(run.time, angle, threshold))
+    levels = tuple(quantile(e, share) for e in (ape[window], control_error[window], ake[window], drift))
+    return levels, np.array(settling_time(run.time, angle, threshold))
 
 
 @jax.jit

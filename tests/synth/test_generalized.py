@@ -10,7 +10,7 @@ from synth.statespace import StateSpace
 
 
 def test_tracking_is_the_block_diagram_of_figure_5():
-    """z1 = We (Wr r - P0 (Wp n + u)), z2 = Wa u, y = Wr r - P0 (Wp n + u) - Wd d, seed equation (23), at a frequency."""
+    """Seed equation (23): z1 = We (Wr r - P0 (Wp n + u)), z2 = Wa u, y = Wr r - P0 (Wp n + u) - Wd d."""
     rng = np.random.default_rng(0)
     m, q = 2, 3
     G = StateSpace(0.5 * np.eye(4), rng.normal(size=(4, m)), rng.normal(size=(q, 4)), rng.normal(size=(q, m)), 0.5)

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
 
 from synth.errors import ModelError, NumericalError
-from synth.predictive import MpcState, mpc, pose
 from synth.parametricqp import ParametricQp, canonicalise
+from synth.predictive import MpcState, mpc, pose
 from synth.statespace import StateSpace, c2d
 
 TORQUE, MOMENTUM, RATE = 1e-3, 10.8e-3, np.radians(2)  # N m, N m s, rad/s

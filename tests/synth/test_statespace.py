@@ -110,8 +110,8 @@ def test_bad_models_are_named(arguments, message):
 def test_mixed_timebases_and_ill_posed_loops_are_refused():
     with pytest.raises(ModelError, match=r"timebases 0\.5 and 0\.0"):
         series(system(1, m=2, p=2), system(2, m=2, p=2, dt=0.0))
+    gain = StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), np.ones((2, 2)), 1.0)
     with pytest.raises(ModelError, match="not well posed"):
-        gain = StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), np.ones((2, 2)), 1.0)
         lft(gain, StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)), 1.0), 1, 1)
     with pytest.raises(ModelError, match="already discrete"):
         c2d(system(1), 0.1)

@@ -1,0 +1,87 @@
+"""The figures that studies share: histories side by side, errors against their bounds, spreads over many runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from plants.report import STYLE
+
+Series = Mapping[str, tuple[np.ndarray, np.ndarray]]  # name -> time (N,) s, values (N, k)
+DENSE = 2000  # points above which a line becomes a picture inside the SVG
+
+
+def histories(series: Series, rows: Sequence[str], *, until: float | None = None) -> Figure:
+    """One row of axes for each of the k values, one colour for each name; time in s, up to `until`."""
+    with mpl.rc_context(STYLE):
+        fig = Figure(figsize=(8.0, 1.0 + 1.35 * len(rows)), layout="constrained")
+        axes = fig.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
+        for name, (time, values) in series.items():
+            shown = slice(None) if until is None else time <= until
+            for ax, column in zip(axes, values.T, strict=True):
+                ax.plot(time[shown], column[shown], label=name, rasterized=len(time[shown]) > DENSE)
+        for ax, label in zip(axes, rows, strict=True):
+            ax.set_ylabel(label)
+        axes[-1].set_xlabel("time, s")
+        fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=min(4, len(series)))
+        return fig
+
+
+def against_bound(series: Series, rows: Sequence[str], bound: float, unit: str) -> Figure:
+    """One column for each name, one row for each of the k values, the bound as dashed lines."""
+    with mpl.rc_context(STYLE):
+        fig = Figure(figsize=(2.7 * len(series) + 0.6, 1.0 + 1.3 * len(rows)), layout="constrained")
+        axes = fig.subplots(len(rows), len(series), sharex=True, sharey=True, squeeze=False)
+        for j, (name, (time, values)) in enumerate(series.items()):
+            axes[0, j].set_title(name)
+            for i, column in enumerate(values.T):
+                axes[i, j].plot(time, column, lw=0.7, rasterized=len(time) > DENSE)
+                for level in (-bound, bound):
+                    axes[i, j].axhline(level, color="#c0322b", ls="--", lw=0.9)
+            axes[-1, j].set_xlabel("time, s")
+        for i, label in enumerate(rows):
+            axes[i, 0].set_ylabel(f"{label}, {unit}")
+        axes[0, 0].set_ylim(-2 * bound, 2 * bound)
+        return fig
+
+
+def spread(runs: Sequence[tuple[np.ndarray, np.ndarray]], rows: Sequence[str], *, until: float) -> Figure:
+    """All runs in thin lines, one row of axes for each of the k values."""
+    with mpl.rc_context(STYLE):
+        fig = Figure(figsize=(8.0, 1.0 + 1.35 * len(rows)), layout="constrained")
+        axes = fig.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
+        for time, values in runs:
+            shown = time <= until
+            for ax, column in zip(axes, values.T, strict=True):
+                ax.plot(time[shown], column[shown], color="#2b7fc3", alpha=0.4, lw=0.7, rasterized=True)
+        for ax, label in zip(axes, rows, strict=True):
+            ax.set_ylabel(label)
+        axes[-1].set_xlabel("time, s")
+        return fig
+
+
+def levels(names: Sequence[str], values: Mapping[str, np.ndarray], bounds: Mapping[str, float], unit: str) -> Figure:
+    """For each index a column of dots per configuration, one dot for each run, and its requirement.
+
+    Parameters
+    ----------
+    names : configurations, in order
+    values : index -> (configurations, runs)
+    bounds : index -> requirement
+    """
+    with mpl.rc_context(STYLE):
+        fig = Figure(figsize=(2.1 * len(values) + 0.6, 3.4), layout="constrained")
+        axes: Any = fig.subplots(1, len(values), squeeze=False)[0]
+        for ax, (index, table) in zip(axes, values.items(), strict=True):
+            for j, row in enumerate(table):
+                offset = np.linspace(-0.28, 0.28, len(row)) if len(row) > 1 else np.zeros(1)
+                ax.plot(j + offset, row, ".", ms=4)
+            ax.axhline(bounds[index], color="#c0322b", ls="--", lw=0.9)
+            ax.set_title(f"{index}, {unit}")
+            ax.set_yscale("log")
+            ax.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=7)
+        return fig
