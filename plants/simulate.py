@@ -155,45 +155,44 @@ def can_compile(loop: Loop, scenario: Scenario) -> bool:
 def advance(loop: Loop, scn: Scenario, record: Record | None, w: Flight, command: Any, k: Any) -> Any:
     """One control period from t = k dt: the new `Flight` and `samples` rows."""
     queue = jnp.concatenate([w.pending, command[None]])  # the oldest command acts, the newest waits
+    step = scn.h / scn.steps
 
-    def sample(now: Flight, j: Any) -> tuple[Flight, Row]:
-        t = (k * scn.samples + j) * scn.h
-        env = env_at(scn, t)
+    def sample(now: Flight, turn: Any) -> tuple[Flight, Row]:
+        envs, noise = turn
+        stages = [jax.tree.map(lambda a, m=m: a[m], envs) for m in range(2 * scn.steps + 1)]
         actuator, u = now.actuator, queue[0]
         if loop.actuator is not None:
             actuator, u = loop.actuator.apply(actuator, queue[0], now.x)
-        extra = None if record is None else record(now.x, env, now.sensors, now.navigator)
-        row = Row(now.x, loop.plant.output(now.x, env), now.estimate, command, u, extra)
-        step, x = scn.h / scn.steps, now.x
-        for s in range(scn.steps):
-            x = loop.plant.project(rk4(loop.plant, scn, x, u, t + s * step, step))
-        moved = now._replace(x=x, u=u, actuator=actuator)
-        return observe(loop, scn, moved, k * scn.samples + j + 1, scn.h), row
+        extra = None if record is None else record(now.x, stages[0], now.sensors, now.navigator)
+        row = Row(now.x, loop.plant.output(now.x, stages[0]), now.estimate, command, u, extra)
+        x = now.x
+        for s in range(0, 2 * scn.steps, 2):
+            x = loop.plant.project(rk4(loop.plant, x, u, stages[s : s + 3], step))
+        # the barriers keep XLA from computing the plant again in every consumer
+        moved = jax.lax.optimization_barrier(now._replace(x=x, u=u, actuator=actuator))
+        return observe(loop, moved, stages[-1], noise, scn.h), row
 
-    new, rows = jax.lax.scan(sample, w, jnp.arange(scn.samples))
+    first = k * scn.samples + 1
+    new, rows = jax.lax.scan(sample, w, (_surroundings(scn, k), _noise(loop, scn, first)), scn.samples)
     return _judge(scn, w, new._replace(pending=queue[1:]), command, k), rows
 
 
-def observe(loop: Loop, scn: Scenario, w: Flight, i: Any, h: Any) -> Flight:
-    """Measure and navigate at sample i, `h` s after the last one."""
-    env = env_at(scn, i * scn.h)
+def observe(loop: Loop, w: Flight, env: Any, noise: Any, h: Any) -> Flight:
+    """Measure and navigate, `h` s after the last time."""
     if loop.sensors is None or loop.navigator is None:
         return w._replace(estimate=loop.plant.output(w.x, env))
-    key = jax.random.key(scn.seed, impl="threefry2x32")
-    key = jax.random.fold_in(jax.random.fold_in(key, scn.run), i)
-    noise = jax.random.normal(key, (loop.sensors.channels,))
-    sensors, y = loop.sensors.measure(w.sensors, w.x, env, noise, h)
+    sensors, y = jax.lax.optimization_barrier(loop.sensors.measure(w.sensors, w.x, env, noise, h))
     navigator, estimate = loop.navigator.update(w.navigator, y, w.u, env, h)
     return w._replace(sensors=sensors, navigator=navigator, estimate=estimate)
 
 
-def rk4(plant: Plant, scn: Scenario, x: Any, u: Any, t: Any, h: Any) -> Any:
-    """One classical Runge-Kutta step of h s with u held."""
+def rk4(plant: Plant, x: Any, u: Any, envs: Sequence[Any], h: Any) -> Any:
+    """One classical Runge-Kutta step of h s with u held; surroundings at its start, middle and end."""
 
     def along(slope: Any, a: Any) -> Any:
         return jax.tree.map(lambda p, v: p + a * v, x, slope)
 
-    start, middle, end = env_at(scn, t), env_at(scn, t + h / 2), env_at(scn, t + h)
+    start, middle, end = envs
     k1 = plant.derivative(x, u, start)
     k2 = plant.derivative(along(k1, h / 2), u, middle)
     k3 = plant.derivative(along(k2, h / 2), u, middle)
@@ -239,7 +238,8 @@ def launch(loop: Loop, scn: Scenario, nu: tuple[int, ...]) -> Flight:
         failed=jnp.zeros((), int),
     )
     w = jax.tree.map(jnp.asarray, w)
-    w = observe(loop, scn, w, 0, jnp.zeros(()))
+    noise = None if loop.sensors is None else _noise(loop, scn, 0)[0]
+    w = observe(loop, w, env_at(scn, 0.0), noise, jnp.zeros(()))
     sound = _sound(scn, (w.estimate, w.navigator))
     return w._replace(culprit=jnp.where(sound, 0, CULPRITS.index("navigator")))
 
@@ -304,6 +304,33 @@ def _step_through(
     if not rows:  # all failed before the first command
         rows = [jax.tree.map(np.asarray, _advance(leaves, batch.form, record, w, commands, 0)[1])]
     return w, jax.tree.map(lambda *parts: np.stack(parts, axis=1), *rows)
+
+
+def _surroundings(scn: Scenario, k: Any) -> Any:
+    """The environment at all Runge-Kutta stages of period k, (samples, 2 steps + 1, ...); or None.
+
+    All at once, because one look-up of many times costs hardly more than one of a single time.
+    """
+    if scn.environment is None:
+        return None
+    stages = 2 * scn.steps
+    instants = k * scn.samples * stages + np.arange(scn.samples * stages + 1)
+    envs = jax.vmap(scn.environment.at)(instants * (scn.h / stages))
+    turns = stages * np.arange(scn.samples)[:, None] + np.arange(stages + 1)
+    return jax.tree.map(lambda a: a[turns], envs)
+
+
+def _noise(loop: Loop, scn: Scenario, first: Any) -> Any:
+    """Standard normal numbers of `samples` samples from index `first`, (samples, channels); or None."""
+    if loop.sensors is None:
+        return None
+    channels = loop.sensors.channels
+    key = jax.random.fold_in(jax.random.key(scn.seed, impl="threefry2x32"), scn.run)
+
+    def draw(i: Any) -> Any:
+        return jax.random.normal(jax.random.fold_in(key, i), (channels,))
+
+    return jax.vmap(draw)(first + jnp.arange(scn.samples))
 
 
 def _judge(scn: Scenario, w: Flight, new: Flight, command: Any, k: Any) -> Flight:
