@@ -147,7 +147,7 @@ def campaign(
             fates=[(run.ok, np.nan if run.failed_at is None else run.failed_at, run.culprit) for run in flown],
             results=blocks.join([measure(run) for run in flown]),
             applied=None if read is None else _confirmed(read, cases, dispersed, chunk),
-            varied=own,
+            varied=varied | own,
             kept={index: _copied(run) for index, run in zip(chunk, flown, strict=True) if index in keep},
         )
 
@@ -161,7 +161,7 @@ def campaign(
                     done.append(flight)
                     bar.update(len(flight.chunk))
                     if on_batch is not None:
-                        on_batch(int(bar.n))
+                        on_batch(sum(len(flight.chunk) for flight in done))
             complete = True
         except KeyboardInterrupt:
             bar.write("interrupted: the finished runs are kept")

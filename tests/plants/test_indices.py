@@ -1,0 +1,160 @@
+"""Pointing indices against sequences worked out by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from plants import indices
+from plants.errors import ScenarioError
+from plants.simulate import Run
+
+ROUNDING = 1e-12  # trigonometry there and back
+
+
+def attitudes(angles):
+    """Outputs (N, 6) of 3-2-1 Euler angles (N, 3) rad; SciPy's quaternion is the same."""
+    q = Rotation.from_euler("ZYX", np.asarray(angles)[:, ::-1]).as_quat(scalar_first=True)
+    q *= np.where(q[:, :1] < 0, -1, 1)
+    return np.hstack([q[:, 1:], np.zeros((len(q), 3))])
+
+
+def run(true, known=None, desired=None, torque=None, h=0.5):
+    n = len(true)
+    true = attitudes(true)
+    return Run(
+        duration=n * h,
+        time=h * np.arange(n),
+        states=None,
+        outputs=true,
+        estimates=true if known is None else attitudes(known),
+        references=np.zeros((n, 6)) if desired is None else attitudes(desired),
+        commands=np.zeros((n, 3)),
+        inputs=np.zeros((n, 3)) if torque is None else torque,
+        extra=None,
+        ok=True,
+        failed_at=None,
+        culprit="",
+        compiled=True,
+    )
+
+
+def test_performance_error_is_the_95th_percentile_per_axis():
+    """100 samples from 0.01 to 1.00 deg, signs mixed: not exceeded for 95 % of the time is 0.95 deg."""
+    rng = np.random.default_rng(0)
+    angles = np.zeros((100, 3))
+    angles[:, 1] = rng.permutation(np.radians(0.01 * np.arange(1, 101))) * rng.choice([-1, 1], 100)
+    result = indices.indices(run(angles), start=0.0, delta_t=0.5)
+    np.testing.assert_allclose(result.ape, [0, np.radians(0.95), 0], atol=ROUNDING)
+    np.testing.assert_allclose(result.control_error, result.ape, atol=ROUNDING)
+    np.testing.assert_allclose(result.ake, 0, atol=ROUNDING)
+    half = indices.indices(run(angles), start=0.0, delta_t=0.5, share=0.5)
+    assert half.ape[1] == pytest.approx(np.radians(0.50), abs=ROUNDING)
+
+
+def test_the_window_starts_where_it_says():
+    angles = np.zeros((40, 3))
+    angles[:20, 0], angles[20:, 0] = 0.3, 0.01
+    result = indices.indices(run(angles), start=10.0, delta_t=0.5)
+    assert result.ape[0] == pytest.approx(0.01, abs=ROUNDING)
+    assert result.pse[0] == pytest.approx(0.0, abs=ROUNDING)  # one jump among twenty is within 5 %
+    assert (result.start, result.end) == (10.0, 20.0)
+    early = indices.indices(run(angles), start=9.5, delta_t=0.5, share=1.0)
+    assert early.ape[0] == pytest.approx(0.3, abs=ROUNDING)
+    assert early.pse[0] == pytest.approx(0.29, abs=ROUNDING)
+
+
+def test_the_four_errors_tell_true_known_and_desired_apart():
+    """Constant roll: true 3 deg, estimated 2 deg, desired 0.5 deg."""
+    true, known, desired = (np.tile(np.radians([roll, 0, 0]), (20, 1)) for roll in (3.0, 2.0, 0.5))
+    result = indices.indices(run(true, known, desired), start=0.0, delta_t=0.5)
+    np.testing.assert_allclose(np.degrees(result.ape), [2.5, 0, 0], atol=1e-10)
+    np.testing.assert_allclose(np.degrees(result.control_error), [1.5, 0, 0], atol=1e-10)
+    np.testing.assert_allclose(np.degrees(result.ake), [1.0, 0, 0], atol=1e-10)
+
+
+def test_errors_are_angles_of_the_error_rotation():
+    """With 90 deg of yaw desired, a roll of the body is a roll of the error, which differences of angles get wrong."""
+    desired = np.tile([0.0, 0.0, np.pi / 2], (10, 1))
+    miss = Rotation.from_euler("ZYX", [0.0, 0.0, 0.01])  # 0.01 rad about the body's x axis
+    q = (Rotation.from_euler("ZYX", [np.pi / 2, 0.0, 0.0]) * miss).as_quat(scalar_first=True)
+    fake = replace(run(desired, desired=desired), outputs=np.tile([*q[1:], 0, 0, 0], (10, 1)))
+    result = indices.indices(fake, start=0.0, delta_t=0.5)
+    np.testing.assert_allclose(result.ape, [0.01, 0, 0], atol=ROUNDING)
+
+
+def test_stability_is_the_change_over_delta_t():
+    """A ramp of 0.02 deg/s in yaw: 0.02 deg over 1 s, 0.06 deg over 3 s."""
+    angles = np.zeros((100, 3))
+    angles[:, 2] = np.radians(0.02 * 0.5 * np.arange(100))
+    for delta_t, expected in ((1.0, 0.02), (3.0, 0.06)):
+        result = indices.indices(run(angles), start=10.0, delta_t=delta_t)
+        np.testing.assert_allclose(np.degrees(result.pse), [0, 0, expected], atol=1e-10)
+    np.testing.assert_allclose(indices.stability(np.array([3.1, -3.1]), 1), 2 * np.pi - 6.2, atol=ROUNDING)
+
+
+def test_settling_is_the_last_crossing():
+    angles = np.zeros((10, 3))
+    angles[:, 0] = np.radians([20, 5, 0.5, 3, 0.9, 0.8, 0.1, 0.1, 0.1, 0.1])
+    result = indices.indices(run(angles), start=3.0, delta_t=0.5)
+    assert result.settling_time == 2.0
+    assert indices.settling_time(np.arange(3.0), np.array([2.0, 0.1, 2.0]), 1.0) == np.inf
+    assert indices.settling_time(np.arange(3.0), np.array([0.2, 0.1, 0.0]), 1.0) == 0.0
+    assert indices.settling_time(np.arange(3.0), np.array([0.2, np.nan, 0.0]), 1.0) == 2.0
+
+
+def test_wheel_effort():
+    """+2 uNm for 5 s, then -1 uNm for 5 s on one axis; h = 0.5 s."""
+    torque = np.zeros((20, 3))
+    torque[:10, 1], torque[10:, 1] = 2e-6, -1e-6
+    result = indices.indices(run(np.zeros((20, 3)), torque=torque), start=1.0)
+    np.testing.assert_allclose(result.effort, [0, 15e-6, 0], rtol=1e-12)
+    np.testing.assert_allclose(result.momentum_peak, [0, 10e-6, 0], rtol=1e-12)
+    np.testing.assert_allclose(result.torque_rms, [0, np.sqrt(2.5) * 1e-6, 0], rtol=1e-12)
+
+
+def test_a_failed_run_meets_no_requirement_and_a_batch_is_a_stack():
+    good = run(np.full((40, 3), 0.01))
+    bad = replace(good, ok=False, failed_at=1.0, culprit="plant", time=good.time[:2], outputs=good.outputs[:2])
+    both = indices.indices([good, bad], start=5.0)
+    assert both.ape.shape == (2, 3)
+    np.testing.assert_array_equal(both.ape[0], indices.indices(good, start=5.0).ape)
+    for name in ("ape", "control_error", "ake", "pse", "torque_rms", "effort", "momentum_peak"):
+        assert np.isinf(getattr(both, name)[1]).all()
+    assert both.settling_time[1] == np.inf
+    assert both.start == 5.0
+
+
+def test_the_table_states_units_window_and_interval():
+    text = str(indices.indices(run(np.tile(np.radians([0.1, 0.2, 0.3]), (40, 1))), start=5.0))
+    assert "95% of the time, 5 to 20 s; PSE over 1 s" in text
+    assert "deg" in text
+    assert "0.1000    0.2000    0.3000" in text
+    many = str(indices.indices([run(np.full((40, 3), 0.01))] * 3, start=5.0))
+    assert "median" in many
+    assert "worst" in many
+
+
+@pytest.mark.parametrize(
+    ("message", "changes"),
+    [
+        ("share = 0", {"share": 0}),
+        ("share = 1.5", {"share": 1.5}),
+        ("start = 20.0", {"start": 20.0}),
+        ("start = nan", {"start": np.nan}),
+        ("delta_t = 0.7", {"delta_t": 0.7, "start": 0.0}),
+        ("delta_t = 0.0", {"delta_t": 0.0, "start": 0.0}),
+        ("delta_t = 30", {"delta_t": 30.0, "start": 0.0}),
+    ],
+)
+def test_bad_settings_are_named(message, changes):
+    with pytest.raises(ScenarioError, match=message):
+        indices.indices(run(np.zeros((40, 3))), **changes)
+
+
+def test_nothing_to_judge():
+    with pytest.raises(ScenarioError, match="runs: got none"):
+        indices.indices([])
+    with pytest.raises(ScenarioError, match="outputs have shape"):
+        indices.indices(replace(run(np.zeros((40, 3))), outputs=np.zeros((40, 2))), start=0.0)
