@@ -21,13 +21,15 @@ import numpy as np
 from synth.errors import ModelError, VerificationError
 from synth.generalized import GeneralizedPlant
 from synth.norms import verify
-from synth.statespace import StateSpace
+from synth.statespace import StateSpace, series
 
 if TYPE_CHECKING:
     import control
 
 FORMAT = "convex-synth design"
 FORMAT_VERSION = 1
+SHAPING = ("W1", "W2", "Ks")  # systems in a file of a loop-shaping design
+ROUNDING = 1e-12  # relative agreement of a controller in a file with the product of its parts
 REMEASURE = 1e-5  # relative agreement of the norm in a file with the norm measured when it is read
 
 
@@ -46,6 +48,21 @@ class Info:
     failures: Mapping[str, str]  # routes and back-offs that were tried before, with their reasons
     versions: Mapping[str, str]  # packages that took part
     date: str  # ISO 8601, UTC
+    gamma_min: float | None = None  # optimal level, where the design is for another one (loop shaping)
+
+
+@dataclass(frozen=True, eq=False)
+class Shaping:
+    """The parts of a loop-shaping controller W1 Ks W2 for G: Ks is the controller of the shaped plant W2 G W1."""
+
+    W1: StateSpace
+    W2: StateSpace
+    Ks: StateSpace
+
+    @property
+    def controller(self) -> StateSpace:
+        """W1 Ks W2, with the states of W2, Ks and W1 in this order."""
+        return series(series(self.W2, self.Ks), self.W1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +75,14 @@ class Design:
     gamma: float  # optimal level found, or the level asked for
     verified_norm: float  # H-infinity norm of the closed loop, measured by two independent methods
     info: Info
+    shaping: Shaping | None = None  # of a loop-shaping design, whose Ks (not `controller`) closes `plant`
 
     @property
     def K(self) -> control.StateSpace:
         """The controller as a `control.StateSpace`, with the plant's y and u as signal names."""
         K = self.controller.to_control()
-        K.input_labels, K.output_labels = list(self.plant.y), list(self.plant.u)
+        if self.shaping is None:  # else y and u are those of the shaped plant
+            K.input_labels, K.output_labels = list(self.plant.y), list(self.plant.u)
         return K
 
     @property
@@ -78,7 +97,7 @@ class Design:
         return iter((self.K, self.CL, self.gamma, self.info))
 
     def __repr__(self) -> str:
-        n, _, nu, _, ny = self.plant.sizes
+        n, nu, ny = self.plant.sizes[0], self.controller.ny, self.controller.nu
         dt = f"dt = {self.plant.dt:g} s" if self.plant.dt else "continuous"
         return (
             f"Design(order {self.controller.n} controller, {ny} measurements, {nu} controls, {dt}; plant order {n}\n"
@@ -123,11 +142,11 @@ class Design:
 def to_dict(design: Design) -> dict[str, Any]:
     """The design as plain data, complete and exact."""
     plant = {f.name: getattr(design.plant, f.name) for f in fields(design.plant)}
-    return {
+    data = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "convention": "x+ = A x + B y, u = C x + D y (dt > 0) or its continuous counterpart; u = K y",
-        "controller": {name: getattr(design.controller, name).tolist() for name in "ABCD"},
+        "controller": _system_to_dict(design.controller),
         "dt": design.plant.dt,
         "gamma": design.gamma,
         "verified_norm": design.verified_norm,
@@ -135,6 +154,17 @@ def to_dict(design: Design) -> dict[str, Any]:
         "plant_sha256": design.plant.system.digest(),
         "info": asdict(design.info),
     }
+    if design.shaping is not None:
+        data["shaping"] = {name: _system_to_dict(getattr(design.shaping, name)) for name in SHAPING}
+    return data
+
+
+def _system_to_dict(G: StateSpace) -> dict[str, Any]:
+    return {name: getattr(G, name).tolist() for name in "ABCD"}
+
+
+def _system_from_dict(data: Any, dt: Any) -> StateSpace:
+    return StateSpace(**{name: data[name] for name in "ABCD"}, dt=dt)
 
 
 def from_dict(data: Any) -> Design:
@@ -148,18 +178,31 @@ def from_dict(data: Any) -> Design:
         )
     try:
         plant = GeneralizedPlant(**data["plant"])
-        controller = StateSpace(*(data["controller"][name] for name in "ABCD"), data["dt"])
+        controller = _system_from_dict(data["controller"], data["dt"])
         info = Info(**data["info"])
+        parts = data.get("shaping")
+        shaping = None if parts is None else Shaping(*(_system_from_dict(parts[k], data["dt"]) for k in SHAPING))
         gamma, norm, digest = float(data["gamma"]), float(data["verified_norm"]), data["plant_sha256"]
     except (KeyError, TypeError, ValueError) as error:
         raise ModelError(f"the design is incomplete or damaged: {error}") from None
     if plant.system.digest() != digest:
         raise ModelError("plant_sha256 does not belong to the plant in the file: one of them was changed")
-    closed_loop = plant.close(controller)
+    if shaping and not _equal(shaping.controller, controller):
+        raise ModelError("controller is not the W1 Ks W2 of the shaping in the file: one of them was changed")
+    closed_loop = plant.close(shaping.Ks if shaping else controller)
     measured = verify(closed_loop)
     if abs(measured.norm - norm) > REMEASURE * norm:
         raise VerificationError(f"the file claims a norm of {norm:.9g}, measured is {measured.norm:.9g}")
-    return Design(plant, controller, closed_loop, gamma, norm, info)
+    return Design(plant, controller, closed_loop, gamma, norm, info, shaping)
+
+
+def _equal(G: StateSpace, H: StateSpace) -> bool:
+    """Equal up to the rounding of a matrix product on another machine."""
+
+    def close(M: np.ndarray, N: np.ndarray) -> bool:
+        return M.shape == N.shape and bool(np.linalg.norm(M - N) <= ROUNDING * np.linalg.norm(N))
+
+    return all(close(getattr(G, name), getattr(H, name)) for name in "ABCD")
 
 
 def write_atomically(path: Path, content: bytes) -> Path:

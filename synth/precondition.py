@@ -219,7 +219,7 @@ def _power_of_two(x):
 def _unreachable(A: np.ndarray, B: np.ndarray, *, discrete: bool) -> tuple[complex, ...]:
     """Modes of A on or outside the stability boundary that B does not reach, up to rounding."""
     n = len(A)
-    size = np.linalg.norm(A, 2)
+    size = np.linalg.norm(A, 2) or 1.0  # zero for integrators
 
     def persistent(value):
         return abs(value) >= 1 - BOUNDARY if discrete else value.real >= -BOUNDARY * size

@@ -1,0 +1,239 @@
+"""Loop shaping with normalised coprime factors (Glover and McFarlane): shape, robustify, verify.
+
+    Gs = W2 G W1 is the shaped plant, us = Ks ys its controller (positive feedback), u = W1 Ks W2 y that of G.
+
+Ks is an observer of the shaped plant with a state feedback, nu being what it did not expect of the measurement:
+
+    nu = ys - C x - D us,  x+ = A x + B us - H nu  (x+ stands for dx/dt in continuous time)
+
+    Xg = [(1 - g^-2) I - g^-2 X Z]^-1 X,  R = I + D D',  S = I + D'D
+    continuous   H = -(B D' + Z C') R^-1,              us = -B'Xg x - D'ys
+    discrete     H = -(B D' + A Z C') (R + C Z C')^-1,
+                 [S + B'Xg B] us = -(D'C + B'Xg A) x - (D' - B'Xg H) nu
+
+The optimal level is sqrt(1 + rho(X Z)), or that of one semidefinite program (`lmi/coprime.py`); each checks the
+other. The gains rest on X and Z in either case. What leaves is stable and was measured to keep its level.
+
+References: McFarlane and Glover (1992), IEEE TAC 37, 759; Glover and McFarlane (1989), IEEE TAC 34, 821; Skogestad
+and Postlethwaite (2005), Multivariable Feedback Control, section 9.4.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from synth.coprime import Solutions, balanced, closed_loop_moduli, discretised, solutions
+from synth.design import Design, Info, Shaping, provenance
+from synth.doubling import FINAL_RESIDUAL
+from synth.errors import InfeasibleError, ModelError, NumericalError, VerificationError
+from synth.generalized import GeneralizedPlant
+from synth.norms import balance, is_stable, verify
+from synth.precondition import check_assumptions
+from synth.statespace import StateSpace, as_matrix, common_timebase, series
+
+METHODS = ("lmi", "riccati")
+AGREE = 1e-3  # relative difference of the two optimal levels beyond which the semidefinite program is not believed
+
+
+class Optimum(NamedTuple):
+    """The optimal level, and who says so."""
+
+    gamma: float
+    method: str
+    status: str
+    failures: dict[str, str]
+
+
+def ncfsyn(
+    G: Any,
+    W1: Any = None,
+    W2: Any = None,
+    *,
+    gamma_factor: float = 1.1,
+    gamma: float | None = None,
+    method: str = "lmi",
+) -> Design:
+    """Controller u = W1 Ks W2 y (positive feedback) that robustly stabilises the shaped plant W2 G W1.
+
+    For a loop closed on e = r - y design for the plant from u to e, that is, for -G.
+
+    Parameters
+    ----------
+    G : (p x m) StateSpace, control.StateSpace or (A, B, C, D, dt); continuous or discrete, D may be nonzero
+    W1 : weight in front of the plant, m outputs: a system like G, or a matrix; identity when left out
+    W2 : weight behind the plant, p inputs; likewise
+    gamma_factor : the level asked for, over the optimal one; above 1
+    gamma : the level itself, instead of `gamma_factor`
+    method : "lmi" or "riccati", what finds the optimal level. `info.method` says which one was believed: where they
+        differ by more than 1e-3 it is the Riccati equations, and `info.failures` has the reason
+
+    Returns
+    -------
+    Design : `controller` is W1 Ks W2, `shaping` holds W1, W2 and Ks; `plant` is the four-block problem
+        [I; Ks] (I - Gs Ks)^-1 [I, Gs] that Ks closes, Gs with balanced states; `gamma` the level asked for,
+        `verified_norm` <= gamma what was measured, `info.gamma_min` the optimal level. 1 / `verified_norm` is the
+        guaranteed margin of `ncfmargin`.
+
+    Raises
+    ------
+    ModelError : data that is no model, weights that do not fit, `gamma_factor` not above 1.
+    AssumptionError : the shaped plant has an unstable mode that is not reached or not seen; names it.
+    InfeasibleError : `gamma` is not above the optimal level, which is in `best`.
+    NumericalError : the Riccati equations were not solved.
+    VerificationError : the loop does not keep the level, for example one that touches the optimal level.
+
+    References
+    ----------
+    McFarlane and Glover (1992), IEEE TAC 37, 759; Skogestad and Postlethwaite (2005), section 9.4.
+    """
+    started = time.perf_counter()
+    if method not in METHODS:
+        raise ModelError(f"method is {method!r}; pass one of {', '.join(METHODS)}")
+    if not (np.isfinite(gamma_factor) and gamma_factor > 1):
+        raise ModelError(f"gamma_factor is {gamma_factor!r}; pass a number above 1, 1.1 for example")
+    if gamma is not None and not (np.isfinite(gamma) and gamma > 0):
+        raise ModelError(f"gamma is {gamma!r}; pass a positive level, or None for gamma_factor times the optimum")
+    W1, Gs, W2 = shaped(StateSpace.of(G), W1, W2)
+    plant = four_block(Gs)
+    check_assumptions(plant)
+    riccati = solutions(Gs)
+    optimum = optimal(Gs, riccati, method)
+    level = gamma or gamma_factor * optimum.gamma
+    if level <= max(optimum.gamma, np.sqrt(1 + riccati.coupling)):
+        raise InfeasibleError(
+            f"gamma = {level:.9g} is not above the optimal level {optimum.gamma:.9g} of the shaped plant; "
+            "ask for a larger one, or for less bandwidth in the weights",
+            best=optimum.gamma,
+        )
+    Ks = observer_controller(Gs, riccati, level)
+    closed_loop = plant.close(Ks)
+    measured = verify(closed_loop)
+    if measured.norm > level:
+        raise VerificationError(
+            f"the controller for gamma = {level:.9g} was measured to reach {measured.norm:.9g} only (optimal level "
+            f"{optimum.gamma:.9g}); ask for a larger gamma"
+        )
+    lmi = optimum.method == "lmi"
+    versions, date = provenance(*(("cvxpy", "clarabel") if lmi else ()))
+    info = Info(
+        method=optimum.method,
+        status=optimum.status,
+        level=level,
+        spectral_radius=measured.spectral_radius,
+        frequency=measured.frequency,
+        seconds=time.perf_counter() - started,
+        solver="clarabel" if lmi else "doubling",
+        tolerance=AGREE if lmi else FINAL_RESIDUAL,
+        failures=optimum.failures,
+        versions=versions,
+        date=date,
+        gamma_min=optimum.gamma,
+    )
+    shaping = Shaping(W1, W2, Ks)
+    return Design(plant, shaping.controller, closed_loop, level, measured.norm, info, shaping)
+
+
+def ncfmargin(P: Any, K: Any, sign: int = -1) -> float:
+    """Margin b(P, K) = 1 / ||[I; K] (I - P K)^-1 [I, P]||, between 0 and 1; 0 for an unstable loop.
+
+    Parameters
+    ----------
+    P : (p x m) plant; K : (m x p) controller; StateSpace, control.StateSpace or (A, B, C, D, dt)
+    sign : -1 for negative feedback u = -K y (default), +1 for u = K y, the convention of `ncfsyn`
+
+    Returns
+    -------
+    float, from the verified bound on the norm: within 1e-7 of the margin, and never above it unless rounding forbids
+
+    Raises
+    ------
+    ModelError : shapes or timebases disagree, the loop is not well posed, `sign` is neither -1 nor 1.
+    VerificationError : the loop is stable but too ill-conditioned to be measured.
+
+    Reference: Vinnicombe (2001), Uncertainty and Feedback, section 2.2.
+    """
+    P, K = StateSpace.of(P), StateSpace.of(K)
+    if sign not in (-1, 1):
+        raise ModelError(f"sign is {sign!r}; pass -1 (negative feedback) or 1 (positive feedback)")
+    loop = four_block(P).close(StateSpace(K.A, K.B, sign * K.C, sign * K.D, K.dt))
+    return 1 / verify(loop).norm if is_stable(loop) else 0.0
+
+
+def shaped(G: StateSpace, W1: Any, W2: Any) -> tuple[StateSpace, StateSpace, StateSpace]:
+    """W1, the shaped plant W2 G W1 with balanced states, and W2."""
+    weights = []
+    for name, W, size, side in (("W1", W1, G.nu, "outputs"), ("W2", W2, G.ny, "inputs")):
+        W = _weight(name, np.eye(size) if W is None else W, G.dt)
+        if (W.ny if side == "outputs" else W.nu) != size:
+            raise ModelError(f"{name} is {W.ny} x {W.nu}; it needs {size} {side} to fit the {G.ny} x {G.nu} plant")
+        common_timebase(G, W)
+        weights.append(W)
+    W1, W2 = weights
+    return W1, balance(series(series(W1, G), W2)), W2
+
+
+def _weight(name: str, W: Any, dt: float) -> StateSpace:
+    """A system, or a matrix as a static one."""
+    if not isinstance(W, int | float | np.ndarray | list):
+        return StateSpace.of(W)
+    D = as_matrix(name, W)
+    return StateSpace(np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((D.shape[0], 0)), D, dt)
+
+
+def four_block(G: StateSpace) -> GeneralizedPlant:
+    """The plant whose loop under u = K y is [I; K] (I - G K)^-1 [I, G], from (output, input) disturbances to (y, u)."""
+    p, m, I, O = G.ny, G.nu, np.eye, np.zeros
+    return GeneralizedPlant(
+        A=G.A,
+        B1=np.hstack([O((G.n, p)), G.B]),
+        B2=G.B,
+        C1=np.vstack([G.C, O((m, G.n))]),
+        D11=np.block([[I(p), G.D], [O((m, p)), O((m, m))]]),
+        D12=np.vstack([G.D, I(m)]),
+        C2=G.C,
+        D21=np.hstack([I(p), G.D]),
+        D22=G.D,
+        dt=G.dt,
+        w=(*(f"output disturbance {i}" for i in range(p)), *(f"input disturbance {i}" for i in range(m))),
+        z=(*(f"output {i}" for i in range(p)), *(f"input {i}" for i in range(m))),
+    )
+
+
+def optimal(G: StateSpace, riccati: Solutions, method: str) -> Optimum:
+    """The optimal level of a plant by the method asked for, by the Riccati equations where that one fails."""
+    reference = float(np.sqrt(1 + riccati.coupling))
+    failures: dict[str, str] = {}
+    if method == "lmi":
+        from synth.lmi.coprime import optimal_level
+
+        moduli = closed_loop_moduli(G)
+        # in the middle of the closed-loop poles the program is best conditioned
+        middle = float(np.exp(np.log(moduli).mean())) if moduli.size else 1.0
+        try:
+            level, status = optimal_level(discretised(balanced(G, riccati), middle))
+            if abs(level - reference) <= AGREE * reference:
+                return Optimum(level, "lmi", f"{status}; Riccati equations {reference:.9g}", failures)
+            failures["lmi"] = f"{status}, level {level:.9g} against {reference:.9g} of the Riccati equations"
+        except NumericalError as error:
+            failures["lmi"] = str(error)
+    return Optimum(reference, "riccati", f"residual {riccati.residual:.1e}", failures)
+
+
+def observer_controller(G: StateSpace, riccati: Solutions, gamma: float) -> StateSpace:
+    """Ks for a level above the optimal one; its state is the estimate of G's (see the file header)."""
+    A, B, C, D = G.A, G.B, G.C, G.D
+    X, Z = riccati.X, riccati.Z
+    R = np.eye(G.ny) + D @ D.T
+    Xg = np.linalg.solve((1 - gamma**-2) * np.eye(G.n) - gamma**-2 * X @ Z, X)
+    if G.discrete:
+        H = -np.linalg.solve(R + C @ Z @ C.T, (B @ D.T + A @ Z @ C.T).T).T
+        # nu put into the last line of the header and solved for us
+        E = np.eye(G.nu) + B.T @ Xg @ (B + H @ D)
+        F, J = np.linalg.solve(E, -B.T @ Xg @ (A + H @ C)), np.linalg.solve(E, B.T @ Xg @ H - D.T)
+    else:
+        H = -np.linalg.solve(R, (B @ D.T + Z @ C.T).T).T
+        F, J = -B.T @ Xg, -D.T
+    return StateSpace(A + H @ C + (B + H @ D) @ F, (B + H @ D) @ J - H, F, J, G.dt)
