@@ -178,8 +178,9 @@ class Ekf:
     def update(self, s: EkfState, y: Measurement, u: Any, env: Any, h: Any) -> tuple[EkfState, Array]:
         """Predict over the h s during which u acted, then correct by the measurement: new state, estimate (6,)."""
         s = self.predict(s, y.wheels, u, env, h)._replace(smoothing=smooth(s.smoothing, y))
-        z, H, R, known = self.innovation(s, y, env)
-        e, P = scalar_updates(s.P, z, H, R, known)
+        # the barrier keeps XLA from predicting again in every one of the scalar updates
+        P, z, H, R, known = jax.lax.optimization_barrier((s.P, *self.innovation(s, y, env)))
+        e, P = scalar_updates(P, z, H, R, known)
         q = attitude.normalise(attitude.compose(_error_quaternion(e[:3]), s.q))
         s = s._replace(q=q, w=s.w + e[3:6], bias=s.bias + e[6:9], P=P)
         return s, _estimate(s.q, s.w, env)
