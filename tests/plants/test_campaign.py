@@ -168,7 +168,7 @@ def test_a_dispersion_that_is_not_applied_is_an_error():
 
     dispersed = campaign.draw(sample, 5, 0)
     with pytest.raises(ScenarioError, match=r"dispersed\.length was not applied in run 0"):
-        campaign.campaign(forgets, dispersed, Damper(1.0), measure=last, read=read, progress=False)
+        campaign.campaign(forgets, dispersed, Damper(1.0), measure=last, read=read, progress=False, workers=1)
     with pytest.raises(ScenarioError, match="no number of loop or scenario varies"):
         campaign.campaign(ignores, dispersed, Damper(1.0), measure=last, progress=False)
 
