@@ -24,7 +24,7 @@ from plants import attitude, navigation, orbit, sensors
 from plants.actuators import ReactionWheels
 from plants.checks import real
 from plants.disturbances import Disturbance, Drag, GravityGradient, ResidualDipole, SolarPressure
-from plants.environment import CircularEnvironment, Environment
+from plants.environment import CircularEnvironment, Environment, sun_position
 from plants.errors import ScenarioError
 from plants.linearize import LinearModel, linearize
 from plants.rigidbody import BodyState, RigidBody, state_from
@@ -84,7 +84,8 @@ MASS = 4.548  # () kg, table 5
 
 EPOCH = datetime(2024, 3, 20, 9, 0, 0)  # UTC, ours
 RAAN = 2.0  # () rad, ours
-ARGUMENT_OF_LATITUDE = 1.5 * np.pi  # () rad, ours: southernmost point; the next 1000 s lie in sunlight
+ARGUMENT_OF_LATITUDE = np.pi  # () rad, ours: descending node; the next 1000 s lie in sunlight
+MPC_RATE_LIMIT = 0.1  # () rad/s, ours, a soft limit
 SIZE = np.array([0.1, 0.1, 0.34])  # (3,) m, of a 3U CubeSat with its rails
 MASS_CENTRE = np.array([0.005, 0.005, 0.020])  # (3,) m, from the centre of the box, ours
 DRAG_COEFFICIENT, REFLECTION_COEFFICIENT = 2.2, 1.3  # ()  ours
@@ -156,10 +157,30 @@ def svd() -> navigation.SvdNavigator:
     return navigation.svd_navigator(suite(), window=WINDOW)
 
 
-def environment(duration: float, *, raan: ArrayLike = RAAN, step: float = 10.0) -> Environment:
-    """Surroundings along the study's orbit for `duration` s; several nodes (...) rad give a batch."""
-    start = orbit.circular(ALTITUDE, INCLINATION, raan, ARGUMENT_OF_LATITUDE)
+def environment(
+    duration: float,
+    *,
+    raan: ArrayLike = RAAN,
+    argument_of_latitude: ArrayLike = ARGUMENT_OF_LATITUDE,
+    step: float = 10.0,
+) -> Environment:
+    """Surroundings along an orbit of the study for `duration` s; several nodes (...) rad give a batch."""
+    start = orbit.circular(ALTITUDE, INCLINATION, raan, argument_of_latitude)
     return Environment.along(start, EPOCH, duration, step=step)
+
+
+def noon(raan: ArrayLike, duration: float) -> np.ndarray:
+    """Argument of latitude (...) rad from which an arc of `duration` s is centred on the orbit's noon.
+
+    Parameters
+    ----------
+    raan : (...) rad, right ascension of the ascending node
+    """
+    node, sun = np.asarray(raan, float), sun_position(EPOCH, np.zeros(1))[0]
+    along = sun[0] * np.cos(node) + sun[1] * np.sin(node)
+    across = (sun[1] * np.cos(node) - sun[0] * np.sin(node)) * np.cos(INCLINATION) + sun[2] * np.sin(INCLINATION)
+    radius = orbit.EARTH_RADIUS + ALTITUDE
+    return np.arctan2(across, along) - np.sqrt(orbit.MU / radius**3) * duration / 2
 
 
 def initial_state(surroundings: Environment, angles: ArrayLike = ANGLES, rates: ArrayLike = RATES) -> BodyState:

@@ -115,6 +115,14 @@ class Environment:
         powers = CubicSpline(times / step, np.concatenate(columns, axis=-1), axis=-2).c[::-1]
         return cls(splines=np.moveaxis(powers, (0, 1), (-2, -3)), step=float(step), duration=float(duration))
 
+    def sun_field_angle(self) -> np.ndarray:
+        """Angle between the lines of Sun and field at the points of the table, (..., n) rad in [0, pi/2].
+
+        An attitude from these two directions has an error of about 1 / sin of it about the bisecting axis.
+        """
+        B, sun = self.splines[..., 0, 6:9], self.splines[..., 0, 9:12]
+        return np.arcsin(np.linalg.norm(np.cross(B, sun), axis=-1) / np.linalg.norm(B, axis=-1))
+
     def at(self, t: ArrayLike) -> OrbitEnv:
         """Surroundings at t () s; all NaN outside [0, duration]."""
         splines, t = jnp.asarray(self.splines), jnp.asarray(t)

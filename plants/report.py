@@ -9,7 +9,7 @@ from __future__ import annotations
 import html
 import io
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
@@ -37,16 +37,14 @@ STYLE = {
     "ytick.color": INK,
 }
 
-Verdict = Literal["holds", "does not hold", "depends", "not measured"]
-
 
 class Claim(NamedTuple):
     """A statement of a paper and what became of it when measured."""
 
     text: str
     source: str  # section, table or figure
-    verdict: Verdict
-    measured: str  # the figures behind the verdict; of what it depends, for "depends"
+    verdict: str  # "holds", "does not hold", "depends on ...", "not measured"
+    measured: str  # the figures behind the verdict
 
 
 class Section(NamedTuple):

@@ -9,6 +9,7 @@ Clarabel's interior-point method.
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -49,7 +50,7 @@ class ParametricQp:
     """The program in N variables, of which N + M rows are limited: the variables, then the rows of A.
 
     `solve` is a function of its arguments alone, to the last bit: DAQP starts from the working set it is given. The
-    object keeps DAQP's memory as a scratch pad, so one object serves one thread; copies and pickles get their own.
+    object keeps DAQP's memory as a scratch pad, one for each thread that solves; copies and pickles get their own.
 
     Raises
     ------
@@ -61,20 +62,24 @@ class ParametricQp:
     lower: np.ndarray  # (N + M,)
     offset: np.ndarray  # (2 N + M,)
     slope: np.ndarray  # (2 N + M, parameters)
-    workspace: daqp.Model = field(init=False, repr=False)
+    scratch: threading.local = field(init=False, repr=False, default_factory=threading.local)
 
     def __post_init__(self):
+        self.scratch.daqp = self.workspace()
+
+    def workspace(self) -> daqp.Model:
+        """DAQP's memory for this program."""
         N = self.P.shape[0]
-        workspace = daqp.Model()
-        flag, _ = workspace.setup(self.P, self.offset[:N], self.A, self.offset[N:], self.lower, self.cold_start())
+        model = daqp.Model()
+        flag, _ = model.setup(self.P, self.offset[:N], self.A, self.offset[N:], self.lower, self.cold_start())
         if flag < 0:
             raise NumericalError(
                 f"DAQP rejects the program: the condition number of its Hessian is {np.linalg.cond(self.P):.1e};"
                 " weigh each variable enough to tell them apart",
                 {"daqp": str(flag)},
             )
-        workspace.settings = DAQP_SETTINGS
-        object.__setattr__(self, "workspace", workspace)
+        model.settings = DAQP_SETTINGS
+        return model
 
     def __reduce__(self):
         return ParametricQp, (self.P, self.A, self.lower, self.offset, self.slope)
@@ -96,9 +101,13 @@ class ParametricQp:
         NumericalError : both fail; the statuses say how.
         """
         f, upper = self.vectors(phi)
-        flag = self.workspace.update(f=f, bupper=upper, sense=active)
+        try:
+            model = self.scratch.daqp
+        except AttributeError:  # the first solve in this thread
+            model = self.scratch.daqp = self.workspace()
+        flag = model.update(f=f, bupper=upper, sense=active)
         if flag == 0:
-            v, _, flag, info = self.workspace.solve()
+            v, _, flag, info = model.solve()
             if flag == 1:
                 y = info["lam"]
                 return Solution(v, y, DAQP_ACTIVE.take(np.sign(y).astype(np.intp), mode="wrap"), "daqp")

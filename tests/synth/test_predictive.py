@@ -1,36 +1,25 @@
 import copy
 import dataclasses
 import pickle
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from literature import cubesat_model
 from scipy.linalg import solve_discrete_are
 
 from synth.errors import ModelError, NumericalError
 from synth.parametricqp import ParametricQp, canonicalise
 from synth.predictive import MpcState, mpc, pose
-from synth.statespace import StateSpace, c2d
+from synth.statespace import StateSpace
 
 TORQUE, MOMENTUM, RATE = 1e-3, 10.8e-3, np.radians(2)  # N m, N m s, rad/s
 FORMS = ("position", "velocity")
 
 
-def cubesat():
-    """Equation (12) of Pecorilla and Stesina (2024), held for 0.5 s; states q (vector part) and w."""
-    Ix, Iy, Iz = 0.0546, 0.0546, 0.0074
-    w0 = np.sqrt(3.986004418e14 / (6378137 + 470e3) ** 3)
-    A = np.zeros((6, 6))
-    A[:3, 3:] = np.eye(3) / 2
-    A[3, 0], A[3, 5] = -8 * w0**2 * (Iy - Iz) / Ix, w0 * (Iz + Ix - Iy) / Ix
-    A[4, 1] = -6 * w0**2 * (Ix - Iz) / Iy
-    A[5, 2], A[5, 3] = -2 * w0**2 * (Iy - Ix) / Iz, -w0 * (Iz + Ix - Iy) / Iz
-    B = np.vstack([np.zeros((3, 3)), np.diag([1 / Ix, 1 / Iy, 1 / Iz])])
-    return c2d(StateSpace(A, B, np.eye(6), np.zeros((6, 3))), 0.5)
-
-
-MODEL = cubesat()
+MODEL = cubesat_model()
 FREE = [np.inf] * 3
 TABLE_3 = {"Q": 1000 * np.eye(6), "R": 1000 * np.eye(3), "Np": 10, "Nc": 7, "umin": -TORQUE, "umax": TORQUE}
 SOFT = {"ymin": [-np.inf] * 3 + [-RATE] * 3, "ymax": FREE + [RATE] * 3, "hmax": MOMENTUM}
@@ -314,7 +303,7 @@ def test_the_units_of_the_command_do_not_matter():
 def test_clarabel_answers_when_daqp_gives_up_and_is_counted(controllers):
     controller = controllers["position", 0]
     hasty = copy.deepcopy(controller)
-    hasty.qp.workspace.settings = {"iter_limit": 2}
+    hasty.qp.scratch.daqp.settings = {"iter_limit": 2}
     x, state = random_case(controller, np.random.default_rng(10), 0.3)
     after, u = hasty.step(state, x, REST)
     expected = controller.step(state, x, REST)
@@ -403,3 +392,22 @@ def test_state_is_plain_data(controllers):
     assert after.inputs.shape == state.inputs.shape == (1, 3)
     assert after.active.dtype == state.active.dtype
     np.testing.assert_array_equal(state.inputs, np.zeros((1, 3)))
+
+
+def test_one_controller_serves_several_threads(controllers):
+    """The same flights in one thread and in four at once, to the last bit."""
+    controller = controllers["velocity", 0]
+
+    def flight(seed: int) -> np.ndarray:
+        x, state, commands = np.random.default_rng(seed).normal(scale=0.1, size=6), controller.init(), []
+        for _ in range(60):
+            state, u = controller.step(state, x, np.zeros(6))
+            x = MODEL.A @ x + MODEL.B @ u
+            commands.append(u)
+        return np.array(commands)
+
+    alone = [flight(seed) for seed in range(8)]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(flight, range(8)))
+    for a, b in zip(alone, together, strict=True):
+        np.testing.assert_array_equal(a, b)

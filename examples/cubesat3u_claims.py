@@ -1,0 +1,212 @@
+"""What Pecorilla and Stesina (2024) state about their configurations, measured."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from plants import cubesat3u, indices
+from plants.indices import Indices
+from plants.report import Claim
+
+DEG = cubesat3u.DEG
+BOUND = cubesat3u.REQUIREMENTS
+
+
+SUN_FIELD = "the angle between Sun and field"
+
+
+def worst(i: Indices, key: str) -> Any:
+    """Worst axis of an index in degrees, () or (runs,)."""
+    return getattr(i, key).max(axis=-1) / DEG
+
+
+def decide(first: bool, second: bool, dependence: str) -> str:
+    """ "holds" when it does in both cases, "depends on ..." when in one."""
+    if first and second:
+        return "holds"
+    return f"depends on {dependence}" if first or second else "does not hold"
+
+
+def growth(controller: Any, delay: int) -> float:
+    """Growth per sample of small motions about nadir with `delay` extra samples: the loop is stable below 1."""
+    A, B, _, _ = cubesat3u.linear_model()
+    x, state, waiting, sizes = np.full(6, 1e-8), controller.init(), [np.zeros(3)] * delay, []
+    while len(sizes) < 800 and (len(sizes) < 16 or max(sizes[-8:]) < 1e-4):  # far from every limit
+        state, u = controller.step(state, x, np.zeros(6))
+        waiting.append(u)
+        x = A @ x + B @ waiting.pop(0)
+        sizes.append(np.linalg.norm(x))
+    quarter = len(sizes) // 4
+    return float((max(sizes[-quarter:]) / max(sizes[-2 * quarter : -quarter])) ** (1 / quarter))
+
+
+def delays_tolerated(controller: Any, most: int = 8) -> int:
+    """Extra samples of delay up to which small motions die out."""
+    return next((d - 1 for d in range(1, most + 1) if growth(controller, d) >= 1), most)
+
+
+def microseconds(controller: Any, repetitions: int = 300) -> float:
+    """Median time of a control step."""
+    rng, state, spent = np.random.default_rng(0), controller.init(), []
+    for _ in range(repetitions):
+        y = rng.normal(scale=1e-3, size=6)
+        start = time.perf_counter()
+        state, _ = controller.step(state, y, np.zeros(6))
+        spent.append(time.perf_counter() - start)
+    return 1e6 * float(np.median(spent))
+
+
+def claims(
+    study: Any, hinf: str, svd_hinf: str, mpc: tuple[str, str], svd_mpc: tuple[str, str], pd: str
+) -> list[Claim]:
+    """Every claim with its verdict; those whose runs are missing are "not measured"."""
+    found = []
+    for text, source, judge in statements(study, hinf, svd_hinf, mpc, svd_mpc, pd):
+        try:
+            verdict, measured = judge()
+        except KeyError as missing:
+            verdict, measured = "not measured", f"interrupted before {missing.args[0]}"
+        found.append(Claim(text, source, verdict, measured))
+    return found
+
+
+def findings(study: Any, hinf: str, direct: str, pd: str) -> list[str]:
+    """What the paper does not say, in sentences with figures; of what has been flown."""
+    found = []
+    if hinf in study.nominal and pd in study.nominal:
+        pairs = [(float(i.settling_time), worst(i, "pse")) for i in (study.nominal[hinf], study.nominal[pd])]
+        found.append(
+            f"A plain PD ({pd}) settles in {pairs[1][0]:.0f} s against {pairs[0][0]:.0f} s and has a PSE of "
+            f"{pairs[1][1]:.4f} against {pairs[0][1]:.4f} deg: the stability of {hinf} is a matter of bandwidth."
+        )
+    if len(study.eclipse) == 2:
+        peaks = {name: indices.errors(run).angle[run.time > 300].max() / DEG for name, run in study.eclipse.items()}
+        found.append(
+            f"Over one orbit with its eclipse the pointing error of {hinf}, whose filter is fed by the vector solution, "
+            f"reaches {peaks[hinf]:.2f} deg; with the vectors themselves ({direct}) it stays below {peaks[direct]:.2f} deg."
+        )
+    return found
+
+
+def statements(
+    study: Any, hinf: str, svd_hinf: str, mpc: tuple[str, str], svd_mpc: tuple[str, str], pd: str
+) -> list[tuple[str, str, Callable[[], tuple[str, str]]]]:
+    """(claim, where it stands, how it is judged)."""
+
+    def level(name: str, key: str) -> float:
+        return float(worst(study.nominal[name], key))
+
+    def figures(key: str, *names: str) -> str:
+        return ", ".join(f"{name} {level(name, key):.3g}" for name in names) + " deg"
+
+    def knowledge() -> tuple[str, str]:
+        here = level(hinf, "ake") <= BOUND.ake / DEG < level(svd_hinf, "ake")
+        met = {name: worst(study.turned[name].results, "ake") <= BOUND.ake / DEG for name in (hinf, svd_hinf)}
+        verdict = decide(here, bool(met[hinf].all() and not met[svd_hinf].any()), SUN_FIELD)
+        share = ", ".join(f"{name} meets it on {m.sum()} of {m.size}" for name, m in met.items())
+        return verdict, f"AKE: {figures('ake', hinf, svd_hinf)}; on random sunlit orbit planes {share}"
+
+    def similar() -> tuple[str, str]:
+        a, b = level(hinf, "ake"), level(mpc[0], "ake")
+        return ("holds" if abs(a / b - 1) < 0.1 else "does not hold"), figures("ake", hinf, *mpc)
+
+    def unstable() -> tuple[str, str]:
+        settled = {name: study.campaigns[name].results.settling_time < study.window for name in svd_mpc}
+        fails = [m.mean() < 0.5 for m in settled.values()]
+        text = ", ".join(f"{name} {m.sum()} of {m.size}" for name, m in settled.items())
+        return decide(*fails, "the form of the MPC"), f"runs that stay within 1 deg after {study.window:.0f} s: {text}"
+
+    def control_error() -> tuple[str, str]:
+        others = min(level(hinf, "control_error"), level(svd_hinf, "control_error"))
+        wins = [level(name, "control_error") < others for name in mpc]
+        return decide(wins[0], wins[1], "the form of the MPC"), figures("control_error", *mpc, hinf, svd_hinf)
+
+    def margin() -> tuple[str, str]:
+        bound = BOUND.control_error / DEG
+        large, fails = level(hinf, "control_error") < bound / 2, level(svd_hinf, "control_error") > bound
+        return decide(large, fails, "the configuration"), figures("control_error", hinf, svd_hinf)
+
+    def stable() -> tuple[str, str]:
+        wins = [level(hinf, "pse") < min(level(name, "pse"), level(svd_hinf, "pse")) for name in mpc]
+        late = {
+            name: worst(indices.indices(study.campaigns[name].kept[0], start=study.window, delta_t=10.0), "pse")
+            for name in (hinf, *mpc)
+        }
+        text = ", ".join(f"{name} {value:.3g}" for name, value in late.items())
+        rate = f"{figures('pse', hinf, svd_hinf, *mpc)}; over 10 s instead of 1 s: {text}"
+        return decide(wins[0], wins[1], "the form of the MPC"), rate
+
+    def worst_stability() -> tuple[str, str]:
+        bound, others = BOUND.pse / DEG, max(level(hinf, "pse"), level(svd_hinf, "pse"))
+        is_worst = [others < level(name, "pse") <= bound for name in mpc]
+        planes = {name: worst(study.turned[name].results, "pse") for name in (mpc[0], svd_hinf)}
+        share = planes[mpc[0]] > planes[svd_hinf]
+        form = decide(*is_worst, "the form of the MPC")
+        verdict = f"depends on the form of the MPC and {SUN_FIELD}" if share.any() and not share.all() else form
+        text = f"the velocity form is worse than {svd_hinf} on {share.sum()} of {share.size} random sunlit orbit planes"
+        return verdict, f"{figures('pse', *mpc, svd_hinf, hinf)}; {text}"
+
+    def fast() -> tuple[str, str]:
+        names = (*mpc, hinf, svd_hinf)
+        t = [float(study.nominal[name].settling_time) for name in names]
+        text = ", ".join(f"{name} {value:.0f} s" for name, value in zip(names, t, strict=True))
+        return decide(t[0] < min(t[2:]), t[1] < min(t[2:]), "the form of the MPC"), f"settles to 1 deg: {text}"
+
+    def costly() -> tuple[str, str]:
+        effort = {name: 1e3 * float(study.nominal[name].effort.sum()) for name in (*mpc, hinf)}
+        text = ", ".join(f"{name} {value:.1f}" for name, value in effort.items()) + " mN m s"
+        more = [effort[name] > effort[hinf] for name in mpc]
+        return decide(more[0], more[1], "the form of the MPC"), f"integral of |torque|, three wheels: {text}"
+
+    def few_exceptions() -> tuple[str, str]:
+        result = study.campaigns[hinf].results
+        met = {
+            name: (worst(result, key) <= getattr(BOUND, key) / DEG)[1:]
+            for name, key in (("APE", "ape"), ("control error", "control_error"), ("AKE", "ake"), ("PSE", "pse"))
+        }
+        share = min(m.mean() for m in met.values())
+        text = ", ".join(f"{name} {m.sum()}/{m.size}" for name, m in met.items())
+        return ("holds" if share >= 0.8 else "does not hold"), f"runs that meet the requirement: {text}"
+
+    def robust() -> tuple[str, str]:
+        d = {name: delays_tolerated(c) for name, c in study.controllers.items()}
+        wins = d["Hinf"] > max(d["MPC velocity"], d["MPC position"])
+        text = ", ".join(f"{name} {n}" for name, n in d.items())
+        return ("holds" if wins else "does not hold"), f"samples of 0.5 s of unknown delay tolerated: {text}"
+
+    def cheap() -> tuple[str, str]:
+        t = {name: microseconds(c) for name, c in study.controllers.items()}
+        ratios = ", ".join(f"{name} {t[name] / t['Hinf']:.1f}" for name in ("MPC velocity", "MPC position"))
+        wins = t["Hinf"] < min(t["MPC velocity"], t["MPC position"])
+        return ("holds" if wins else "does not hold"), f"time of a step relative to Hinf: {ratios}"
+
+    def superior() -> tuple[str, str]:
+        keys = ("ape", "control_error", "ake", "pse")
+        others = (*mpc, svd_hinf)
+        best = [key for key in keys if level(hinf, key) <= min(level(name, key) for name in others)]
+        beaten = [key for key in keys if level(pd, key) <= level(hinf, key)]
+        verdict = "holds" if len(best) == 4 and len(beaten) < 4 else "depends on the index"
+        text = (
+            f"smallest in {', '.join(best) or 'none'}; a plain PD is as good or better in {', '.join(beaten) or 'none'}"
+        )
+        return verdict, text
+
+    return [
+        ("The EKF configurations meet the AKE requirement, SVD + Hinf does not", "section 3.2, figure 10", knowledge),
+        ("EKF + MPC and EKF + Hinf know the attitude equally well", "section 3.2, figure 10", similar),
+        ("With MPC instead of Hinf, the SVD alone would not even stabilise", "section 3.2", unstable),
+        ("MPC has the smallest control error", "section 3.2, figure 12", control_error),
+        ("EKF + Hinf meets the control error by a large margin, SVD + Hinf fails", "figure 12", margin),
+        ("EKF + Hinf has a much smaller PSE than the other two", "section 3.2, figure 13", stable),
+        ("EKF + MPC has the worst PSE but meets the requirement", "section 3.2, figure 13", worst_stability),
+        ("MPC reaches the desired attitude faster", "figures 7 and 8", fast),
+        ("MPC costs more control", "figure 9", costly),
+        ("The Monte Carlo of EKF + Hinf meets all requirements with a few exceptions", "figure 16", few_exceptions),
+        ("Hinf gives greater control robustness", "section 4", robust),
+        ("Hinf costs less computation than MPC", "section 4", cheap),
+        ("EKF + Hinf is superior to the other configurations", "sections 3.2 and 4", superior),
+    ]
