@@ -122,6 +122,7 @@ class Scenario:
     steps: int = 1  # Runge-Kutta steps per sample
     reference: ArrayLike | None = None  # (ny,) or (periods, ny) units of the output; zeros if absent
     environment: Environment | None = None
+    keep_every: int = 1  # 1: a row per sensor sample; more: one per so many control periods, for long campaigns
     seed: int = 0  # of the noise, shared by the runs of a campaign
     run: int = 0  # index of the run: with the seed, the name of its noise
     bound: float = 1e9  # () any unit; a state, estimate or command beyond it has diverged
@@ -131,20 +132,26 @@ class Scenario:
         """Sampling period, s."""
         return self.dt / self.samples
 
+    @property
+    def rows(self) -> int:
+        """Rows of a control period that is kept."""
+        return self.samples if self.keep_every == 1 else 1
+
 
 jax.tree_util.register_dataclass(Loop, ["plant", "controller", "sensors", "navigator", "actuator"], ["delay"])
 jax.tree_util.register_dataclass(
     Scenario,
     ["initial", "dt", "reference", "environment", "seed", "run", "bound"],
-    ["periods", "samples", "steps"],
+    ["periods", "samples", "steps", "keep_every"],
 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """What came out, one row per sensor sample; a failed run holds the rows before its failure only.
+    """What came out, one row per sensor sample, or the first of every `keep_every` control periods.
 
-    `inputs` is what acted on the plant during the sample that starts at `time`.
+    A failed run holds the rows before its failure only. `inputs` is what acted on the plant during the sample that
+    starts at `time`.
     """
 
     duration: float  # s, as planned
@@ -160,14 +167,17 @@ class Run:
     failed_at: float | None  # s, start of the control period in which it failed
     culprit: str  # "controller", "plant" or "navigator"; "" if ok
     compiled: bool  # whether the controller was compiled with the loop or stepped from Python
+    memory: Any = None  # the controller's state at the end: its counters, for example
 
 
 def check(loop: Loop, scenario: Scenario) -> None:
     """Raise `ScenarioError` naming the first unusable number of a case, and register its blocks with JAX."""
-    for name in ("periods", "samples", "steps"):
+    for name in ("periods", "samples", "steps", "keep_every"):
         count = getattr(scenario, name)
         if not isinstance(count, int) or count < 1:
             raise ScenarioError(f"{name} = {count!r}: give a whole number of at least 1")
+    if scenario.periods % scenario.keep_every:
+        raise ScenarioError(f"keep_every = {scenario.keep_every} does not divide periods = {scenario.periods}")
     for name in ("dt", "bound"):
         value = getattr(scenario, name)
         if not (np.ndim(value) == 0 and np.isfinite(value) and value > 0):

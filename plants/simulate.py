@@ -131,11 +131,12 @@ def simulate_many(
         flown = [pair if compiled else (dataclasses.replace(pair[0], controller=None), pair[1]) for pair in cases]
         batch = blocks.stack(flown, varying)
         if compiled:
-            end, rows = _fly(*batch, record)
+            end, memory, rows = jax.tree.map(np.asarray, _fly(*batch, record))
+            memories = [jax.tree.map(lambda a, lane=lane: a[lane], memory) for lane in range(len(cases))]
         else:
-            end, rows = _step_through(cases, batch, record, progress)
-        end, rows = jax.tree.map(np.asarray, (end, rows))
-        return [_run(scn, end, rows, lane, compiled) for lane, (_, scn) in enumerate(cases)]
+            end, memories, rows = _step_through(cases, batch, record, progress)
+            end = jax.tree.map(np.asarray, end)
+        return [_run(case[1], end, rows, lane, memories[lane], compiled) for lane, case in enumerate(cases)]
 
 
 def can_compile(loop: Loop, scenario: Scenario) -> bool:
@@ -201,7 +202,7 @@ def rk4(plant: Plant, x: Any, u: Any, envs: Sequence[Any], h: Any) -> Any:
 
 
 def fly(loop: Loop, scn: Scenario, record: Record | None) -> Any:
-    """The whole run as one traceable function: last `Flight` and rows of (periods, samples, ...)."""
+    """The whole run as one traceable function: last `Flight` and controller state, rows of (kept, samples, ...)."""
     controller, r0 = loop.controller, reference_at(loop, scn, 0)
     shapes = jax.eval_shape(lambda: controller.step(controller.init(), r0, r0))
     memory = jax.tree.map(lambda a, s: jnp.asarray(a, s.dtype), controller.init(), shapes[0])
@@ -213,9 +214,13 @@ def fly(loop: Loop, scn: Scenario, record: Record | None) -> Any:
         w, rows = advance(loop, scn, record, w, jnp.asarray(command, float), k)
         return (w, new), rows
 
-    w = launch(loop, scn, shapes[1].shape)
-    (w, _), rows = jax.lax.scan(period, (w, memory), jnp.arange(scn.periods))
-    return w, rows
+    def group(carry: Any, ks: Any) -> Any:
+        carry, rows = jax.lax.scan(period, carry, ks)
+        return carry, jax.tree.map(lambda a: a[0, : scn.rows], rows)
+
+    start = (launch(loop, scn, shapes[1].shape), memory)
+    (w, memory), rows = jax.lax.scan(group, start, jnp.arange(scn.periods).reshape(-1, scn.keep_every))
+    return w, memory, rows
 
 
 def launch(loop: Loop, scn: Scenario, nu: tuple[int, ...]) -> Flight:
@@ -254,7 +259,8 @@ def row_bytes(loop: Loop, scenario: Scenario, record: Record | None = None) -> i
             return advance(loop, scn, record, launch(loop, scn, nu), jnp.zeros(nu), 0)[1]
 
         rows = jax.eval_shape(one, dataclasses.replace(loop, controller=None), scenario)
-    return scenario.periods * sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(rows))
+    period = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(rows))
+    return period * scenario.rows * scenario.periods // (scenario.samples * scenario.keep_every)
 
 
 @partial(jax.jit, static_argnames=("form", "record"))
@@ -300,10 +306,11 @@ def _step_through(
                 r = references[i] if references[i].ndim == 1 else references[i][k]
                 memory[i], commands[i] = controller.step(memory[i], estimates[i], r)
         w, row = _advance(leaves, batch.form, record, w, commands, k)
-        rows.append(jax.tree.map(np.asarray, row))
+        if k % scenario.keep_every == 0:
+            rows.append(jax.tree.map(lambda a: np.asarray(a[:, : scenario.rows]), row))
     if not rows:  # all failed before the first command
         rows = [jax.tree.map(np.asarray, _advance(leaves, batch.form, record, w, commands, 0)[1])]
-    return w, jax.tree.map(lambda *parts: np.stack(parts, axis=1), *rows)
+    return w, memory, jax.tree.map(lambda *parts: np.stack(parts, axis=1), *rows)
 
 
 def _surroundings(scn: Scenario, k: Any) -> Any:
@@ -360,22 +367,22 @@ def _command_shape(loop: Loop, scn: Scenario, compiled: bool) -> tuple[int, ...]
     return np.shape(controller.step(controller.init(), r, r)[1])
 
 
-def _run(scn: Scenario, end: Flight, rows: Row, lane: int, compiled: bool) -> Run:
+def _run(scn: Scenario, end: Flight, rows: Row, lane: int, memory: Any, compiled: bool) -> Run:
     """One lane as a `Run`, cut before its failure."""
     culprit = CULPRITS[int(end.culprit[lane])]
     periods = scn.periods if not culprit else int(end.failed[lane])
-    length = periods * scn.samples
+    length = -(-periods // scn.keep_every) * scn.rows
 
     def cut(a: np.ndarray) -> np.ndarray:
         return a[lane].reshape(a.shape[1] * a.shape[2], *a.shape[3:])[:length]
 
     row = jax.tree.map(cut, rows)
-    reference = 0.0 if scn.reference is None else np.asarray(scn.reference, float)
-    if np.ndim(reference) == 2:
-        reference = np.repeat(reference, scn.samples, axis=0)[:length]
+    reference = np.zeros(()) if scn.reference is None else np.asarray(scn.reference, float)
+    if reference.ndim == 2:
+        reference = np.repeat(reference[:: scn.keep_every], scn.rows, axis=0)[:length]
     return Run(
         duration=scn.periods * scn.dt,
-        time=np.arange(length) * scn.h,
+        time=np.arange(length) * (scn.keep_every * scn.dt / scn.rows),
         states=row.state,
         outputs=row.output,
         estimates=row.estimate,
@@ -387,4 +394,5 @@ def _run(scn: Scenario, end: Flight, rows: Row, lane: int, compiled: bool) -> Ru
         failed_at=periods * scn.dt if culprit else None,
         culprit=culprit,
         compiled=compiled,
+        memory=memory,
     )
