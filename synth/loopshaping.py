@@ -36,6 +36,7 @@ from synth.statespace import StateSpace, as_matrix, common_timebase, series
 
 METHODS = ("lmi", "riccati")
 AGREE = 1e-3  # relative difference of the two optimal levels beyond which the semidefinite program is not believed
+INSIDE = 1e-6  # the controller for a level is made for one lower by this part, or half way to the optimum if nearer
 
 
 class Optimum(NamedTuple):
@@ -79,7 +80,7 @@ def ncfsyn(
 
     Raises
     ------
-    ModelError : data that is no model, weights that do not fit, `gamma_factor` not above 1.
+    ModelError : data that is no model, no states, weights that do not fit, `gamma_factor` not above 1.
     AssumptionError : the shaped plant has an unstable mode that is not reached or not seen; names it.
     InfeasibleError : `gamma` is not above the optimal level, which is in `best`.
     NumericalError : the Riccati equations were not solved.
@@ -97,18 +98,20 @@ def ncfsyn(
     if gamma is not None and not (np.isfinite(gamma) and gamma > 0):
         raise ModelError(f"gamma is {gamma!r}; pass a positive level, or None for gamma_factor times the optimum")
     W1, Gs, W2 = shaped(StateSpace.of(G), W1, W2)
+    if Gs.n == 0:
+        raise ModelError("the shaped plant has no states; add the dynamics to be controlled")
     plant = four_block(Gs)
     check_assumptions(plant)
     riccati = solutions(Gs)
     optimum = optimal(Gs, riccati, method)
-    level = gamma or gamma_factor * optimum.gamma
-    if level <= max(optimum.gamma, np.sqrt(1 + riccati.coupling)):
+    level, lowest = gamma or gamma_factor * optimum.gamma, max(optimum.gamma, np.sqrt(1 + riccati.coupling))
+    if level <= lowest:
         raise InfeasibleError(
             f"gamma = {level:.9g} is not above the optimal level {optimum.gamma:.9g} of the shaped plant; "
             "ask for a larger one, or for less bandwidth in the weights",
             best=optimum.gamma,
         )
-    Ks = observer_controller(Gs, riccati, level)
+    Ks = observer_controller(Gs, riccati, level - min(INSIDE * level, (level - lowest) / 2))
     closed_loop = plant.close(Ks)
     measured = verify(closed_loop)
     if measured.norm > level:
@@ -209,9 +212,8 @@ def optimal(G: StateSpace, riccati: Solutions, method: str) -> Optimum:
     if method == "lmi":
         from synth.lmi.coprime import optimal_level
 
-        moduli = closed_loop_moduli(G)
-        # in the middle of the closed-loop poles the program is best conditioned
-        middle = float(np.exp(np.log(moduli).mean())) if moduli.size else 1.0
+        # the program is best conditioned in the middle of the closed-loop poles
+        middle = float(np.exp(np.log(closed_loop_moduli(G)).mean()))
         try:
             level, status = optimal_level(discretised(balanced(G, riccati), middle))
             if abs(level - reference) <= AGREE * reference:

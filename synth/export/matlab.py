@@ -38,6 +38,8 @@ def mat_bytes(design: Design) -> bytes:
         "date": info["date"],
         "versions": _cell([f"{name} {version}" for name, version in info["versions"].items()]),
     }
+    for name, parts in data.get("shaping", {}).items():  # K = W1 Ks W2; Ks closes P
+        content[name] = {key: np.asarray(value, dtype=float) for key, value in parts.items()}
     buffer = io.BytesIO()
     scipy.io.savemat(buffer, {"design": content}, oned_as="column", long_field_names=True)
     return buffer.getvalue()

@@ -1,14 +1,14 @@
 """The optimal level of normalised-coprime-factor stabilisation as one semidefinite program, without bisection.
 
-    minimise s   subject to   [ Y  Y Ab'         Y Cb' ]        [ V  V Ab          V Bb ]        [ Y  I ]
-                              [ .  Y + s Bb Bb'  0     ] >= 0,  [ .  V + s Cb'Cb   0    ] >= 0,  [ .  V ] >= 0
-                              [ .  .             s I   ]        [ .  .             s I  ]
+    minimise s   subject to   diag(Y + s Bb Bb', s I) >= [Ab; Cb] Y [Ab; Cb]',      [ Y  I ]
+                              diag(V + s Cb'Cb,  s I) >= [Ab, Bb]' V [Ab, Bb],      [ .  V ] >= 0
 
-with Ab = A - B S^-1 D'C, Bb = B S^-1/2, Cb = R^-1/2 C. The first says Y/s <= X^-1, the second V/s <= Z^-1 for the
-Riccati solutions X and Z, the third Y >= V^-1; together s^2 >= rho(X Z), and the level is sqrt(1 + s^2).
+with Ab = A - B S^-1 D'C, Bb = B S^-1/2, Cb = R^-1/2 C. These are the Riccati inequalities of P = (Y/s)^-1 and of
+Q = (V/s)^-1: they say P >= X and Q >= Z for the stabilising solutions, and the last one that the spectral radius of
+P Q is at most s^2. So the least s^2 is that of X Z, and the level sqrt(1 + s^2).
 
-Reference: Glover and McFarlane (1989), IEEE TAC 34, 821, theorem 4.3 (the level); the Riccati inequalities are
-those of Gahinet and Apkarian (1994), with s taken out of the products.
+References: Glover and McFarlane (1989), IEEE TAC 34, 821 (the level); Gahinet and Apkarian (1994), Int. J. Robust
+and Nonlinear Control 4, 421 (Riccati inequalities as LMIs in the inverses, and their coupling).
 """
 
 from __future__ import annotations
@@ -33,22 +33,15 @@ def optimal_level(G: StateSpace) -> tuple[float, str]:
     """
     n, m, p = G.n, G.nu, G.ny
     if n == 0:
-        return 1.0, "no states"
+        return 1.0, "nothing reached and seen"
     S, R = np.eye(m) + G.D.T @ G.D, np.eye(p) + G.D @ G.D.T
     A = G.A - G.B @ np.linalg.solve(S, G.D.T @ G.C)
     # B B' and C'C are all that matters, so that a Cholesky factor serves as the root
     B, C = np.linalg.solve(np.linalg.cholesky(S), G.B.T).T, np.linalg.solve(np.linalg.cholesky(R), G.C)
     Y, V = (cp.Variable((n, n), symmetric=True) for _ in range(2))
     s = cp.Variable()
-    control = staircase([
-        [Y, Y @ A.T,       Y @ C.T],
-        [   Y + s * B @ B.T, 0],
-        [                  s * np.eye(p)],
-    ])  # fmt: skip
-    filtering = staircase([
-        [V, V @ A,         V @ B],
-        [   V + s * C.T @ C, 0],
-        [                  s * np.eye(m)],
-    ])  # fmt: skip
+    AC, AB = np.vstack([A, C]), np.hstack([A, B])
+    control = staircase([[Y + s * B @ B.T, 0], [s * np.eye(p)]]) - AC @ Y @ AC.T
+    filtering = staircase([[V + s * C.T @ C, 0], [s * np.eye(m)]]) - AB.T @ V @ AB
     status = solve(s, [control, filtering, staircase([[Y, np.eye(n)], [V]])])
-    return float(np.sqrt(1 + float(s.value) ** 2)), status
+    return float(np.hypot(1.0, np.asarray(s.value))), status
