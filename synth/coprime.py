@@ -27,7 +27,7 @@ from synth.norms import spectral_radius
 from synth.statespace import StateSpace, cayley
 
 NEGLIGIBLE = 1e-8  # of the largest LQG singular value; below it they are rounding
-APART = 1e-2  # relative distance of the Cayley rate from every pole
+APART = 0.1  # relative distance of the Cayley rate from every pole
 
 
 class Solutions(NamedTuple):
@@ -51,13 +51,12 @@ def closed_loop_moduli(G: StateSpace) -> np.ndarray:
     return np.abs(np.linalg.eigvals(H))
 
 
-def discretised(G: StateSpace, rate: float) -> StateSpace:
-    """A discrete system itself, a continuous one by the Cayley map at about `rate` rad/s: same norms, X and Z."""
-    if G.discrete:
-        return G
-    while G.n and np.abs(G.poles() - rate).min() < APART * rate:
+def discretised(rate: float, *systems: StateSpace) -> list[StateSpace]:
+    """Discrete systems as they are, continuous ones by one Cayley map at about `rate` rad/s: same norms, X and Z."""
+    poles = np.concatenate([G.poles() for G in systems])
+    while poles.size and np.abs(poles - rate).min() < APART * rate:
         rate *= 1 + 2 * APART
-    return cayley(G, rate)
+    return [G if G.discrete else cayley(G, rate) for G in systems]
 
 
 def fastest(G: StateSpace) -> float:
@@ -77,7 +76,7 @@ def solutions(G: StateSpace) -> Solutions:
     ------
     NumericalError : an equation was not solved.
     """
-    H = discretised(G, fastest(G))
+    (H,) = discretised(fastest(G), G)
     control, filtering = control_solution(H), control_solution(transpose(H))
     return Solutions(control.X, filtering.X, max(control.residual, filtering.residual))
 

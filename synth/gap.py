@@ -69,8 +69,7 @@ def gapmetric(G1: Any, G2: Any) -> Gap:
         raise ModelError(f"G1 is {G1.ny} x {G1.nu}, G2 is {G2.ny} x {G2.nu}; a gap needs plants of the same size")
     for G in (G1, G2):
         check_assumptions(four_block(G))
-    rate = max(fastest(G1), fastest(G2))
-    H1, H2 = discretised(G1, rate), discretised(G2, rate)
+    H1, H2 = discretised(max(fastest(G1), fastest(G2)), G1, G2)
     R1, R2 = right_factors(H1), right_factors(H2)
     if not _homotopic(R1, R2):
         return Gap(1.0, 1.0)

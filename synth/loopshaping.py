@@ -215,7 +215,7 @@ def optimal(G: StateSpace, riccati: Solutions, method: str) -> Optimum:
         # the program is best conditioned in the middle of the closed-loop poles
         middle = float(np.exp(np.log(closed_loop_moduli(G)).mean()))
         try:
-            level, status = optimal_level(discretised(balanced(G, riccati), middle))
+            level, status = optimal_level(*discretised(middle, balanced(G, riccati)))
             if abs(level - reference) <= AGREE * reference:
                 return Optimum(level, "lmi", f"{status}; Riccati equations {reference:.9g}", failures)
             failures["lmi"] = f"{status}, level {level:.9g} against {reference:.9g} of the Riccati equations"

@@ -123,7 +123,7 @@ def test_gap_is_the_distance_of_the_graphs(seed):
     P2 = perturbed(P1, seed, 0.2)
     gap, nugap = gapmetric(P1, P2)
     assert gap > 1.05 * nugap
-    R1, R2 = (right_factors(discretised(P, 3.0)) for P in (P1, P2))
+    R1, R2 = map(right_factors, discretised(3.0, P1, P2))
     assert toeplitz_gap(R1, R2, 100) == pytest.approx(gap, abs=1e-7)
     assert toeplitz_gap(R2, R1, 100) == pytest.approx(gap, abs=1e-7)
 
