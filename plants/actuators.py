@@ -6,19 +6,19 @@ A delay between command and action belongs to the loop (`plants.simulate.Loop.de
 from dataclasses import dataclass
 from functools import partial
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from plants import blocks
 from plants.checks import Numbers, real
 from plants.errors import ScenarioError
 from plants.rigidbody import BodyState
 
 
 @partial(
-    jax.tree_util.register_dataclass,
+    blocks.node,
     data_fields=["distribution", "torque_limit", "speed_limit"],
     meta_fields=[],
 )

@@ -21,7 +21,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from plants import attitude
+from plants import attitude, blocks
 from plants.actuators import ReactionWheels
 from plants.campaign import draw
 from plants.checks import real
@@ -54,7 +54,7 @@ SLOW = 1e-4  # () rad/s, ours: rate of both tests of convergence
 TAIL = 0.05  # () of the run, its end: where both tests look
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=["body"], meta_fields=[])
+@partial(blocks.node, data_fields=["body"], meta_fields=[])
 @dataclass(frozen=True, kw_only=True)
 class Satellite:
     """A rigid body seen with ideal sensors: attitude, rate and the momentum of its wheels."""
@@ -79,7 +79,7 @@ class Satellite:
         return self.body.project(x)
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=["value"], meta_fields=[])
+@partial(blocks.node, data_fields=["value"], meta_fields=[])
 @dataclass(frozen=True, kw_only=True)
 class ConstantTorque:
     """A torque fixed in body axes, such as that of a leaking valve: how stiff is a controller against it?"""

@@ -7,12 +7,14 @@ another compilation. `field(metadata={"static": True})` puts a field of floats a
 
 import dataclasses
 from collections.abc import Callable, Collection, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import numpy as np
 
 from plants.errors import ScenarioError
+
+T = TypeVar("T")
 
 
 class Form(NamedTuple):
@@ -39,6 +41,27 @@ class Stack(NamedTuple):
     form: Form
 
 
+def node(kind: type[T], data_fields: Sequence[str], meta_fields: Sequence[str]) -> type[T]:
+    """Register a frozen dataclass with JAX: numbers in `data_fields`, the rest is part of the program.
+
+    Not by `jax.tree_util.register_dataclass`: in JAX 0.10 the structures of different classes registered so are equal
+    when their fields are alike, and `jit` then takes the compiled function of one class for the other's.
+    """
+
+    def flatten(block: Any) -> tuple[Any, Any]:
+        return [getattr(block, name) for name in data_fields], tuple(getattr(block, name) for name in meta_fields)
+
+    def flatten_with_keys(block: Any) -> tuple[Any, Any]:
+        numbers, program = flatten(block)
+        return list(zip(map(jax.tree_util.GetAttrKey, data_fields), numbers, strict=True)), program
+
+    def unflatten(program: Any, numbers: Any) -> Any:
+        return kind(**dict(zip(data_fields, numbers, strict=True)), **dict(zip(meta_fields, program, strict=True)))
+
+    jax.tree_util.register_pytree_with_keys(kind, flatten_with_keys, unflatten, flatten)
+    return kind
+
+
 def register(block: Any) -> None:
     """Register the class of a frozen dataclass, and of those inside it, as pytrees, each class once.
 
@@ -62,7 +85,7 @@ def register(block: Any) -> None:
         raise ScenarioError(f"{kind.__name__} is a mutable dataclass: declare it with frozen=True")
     data = [f.name for f in members if _is_data(f, getattr(block, f.name))]
     program = [f.name for f in members if f.name not in data]
-    jax.tree_util.register_dataclass(kind, data, program)
+    node(kind, data, program)
 
 
 def check_numbers(block: Any, name: str, *, finite: bool = False) -> None:

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple, Protocol
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
+from plants import blocks
 from plants.attitude import cross, dot, rotate
 from plants.checks import Numbers, real
 from plants.environment import OrbitEnv
@@ -47,7 +47,7 @@ class Disturbance(Protocol):
     def torque(self, seen: Seen, inertia: Array, /) -> Array: ...  # noqa: D102
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=[], meta_fields=[])
+@partial(blocks.node, data_fields=[], meta_fields=[])
 @dataclass(frozen=True)
 class GravityGradient:
     """3 mu / r^5 (r x I r), for a spherical Earth."""
@@ -58,7 +58,7 @@ class GravityGradient:
         return 3 * MU / (square * square * jnp.sqrt(square)) * cross(seen.r, inertia @ seen.r)
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=["moment"], meta_fields=[])
+@partial(blocks.node, data_fields=["moment"], meta_fields=[])
 @dataclass(frozen=True, kw_only=True)
 class ResidualDipole:
     """m x B of a magnetic moment fixed in the body."""
@@ -76,7 +76,7 @@ class ResidualDipole:
         return cross(self.moment, seen.B)
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=["size", "mass_centre", "coefficient"], meta_fields=[])
+@partial(blocks.node, data_fields=["size", "mass_centre", "coefficient"], meta_fields=[])
 @dataclass(frozen=True, kw_only=True)
 class Drag:
     """Drag of a box: the force acts along the flow, on the projected area, at the centre of the box.
@@ -106,7 +106,7 @@ class Drag:
         return cross(pressure * self.mass_centre, seen.wind)
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=["size", "mass_centre", "coefficient"], meta_fields=[])
+@partial(blocks.node, data_fields=["size", "mass_centre", "coefficient"], meta_fields=[])
 @dataclass(frozen=True, kw_only=True)
 class SolarPressure:
     """Radiation pressure on a box, along the rays and at its centre as for `Drag`; nothing in the Earth's shadow.
@@ -136,7 +136,7 @@ class SolarPressure:
         return cross(force * self.mass_centre, seen.sun)
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=["vector"], meta_fields=[])
+@partial(blocks.node, data_fields=["vector"], meta_fields=[])
 @dataclass(frozen=True, kw_only=True)
 class ConstantTorque:
     """A torque that is constant in body axes, such as a leak."""

@@ -24,7 +24,7 @@ from jax import Array
 from jax.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-from plants import attitude, orbit
+from plants import attitude, blocks, orbit
 from plants.checks import Numbers, real
 from plants.errors import ScenarioError
 from plants.orbit import EARTH_RADIUS, Orbit
@@ -62,7 +62,7 @@ class Atmosphere(NamedTuple):
         return self.density * np.exp((self.altitude - (distance - ground)) / self.scale_height)
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=["splines"], meta_fields=["step", "duration"])
+@partial(blocks.node, data_fields=["splines"], meta_fields=["step", "duration"])
 @dataclass(frozen=True, kw_only=True)
 class Environment:
     """Surroundings along an orbit, from splines; build it with `Environment.along`.
@@ -137,7 +137,7 @@ class Environment:
         )  # fmt: skip
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=["r", "v", "q_ON"], meta_fields=[])
+@partial(blocks.node, data_fields=["r", "v", "q_ON"], meta_fields=[])
 @dataclass(frozen=True, kw_only=True)
 class CircularEnvironment:
     """Ideal circular two-body orbit and its frame O; field, Sun and air are not modelled (NaN)."""
@@ -169,7 +169,7 @@ class CircularEnvironment:
         )  # fmt: skip
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=[], meta_fields=[])
+@partial(blocks.node, data_fields=[], meta_fields=[])
 @dataclass(frozen=True)
 class FreeSpace:
     """No orbit: frame O is frame N and nothing else is modelled (NaN). For inertial pointing."""

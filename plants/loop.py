@@ -138,8 +138,8 @@ class Scenario:
         return self.samples if self.keep_every == 1 else 1
 
 
-jax.tree_util.register_dataclass(Loop, ["plant", "controller", "sensors", "navigator", "actuator"], ["delay"])
-jax.tree_util.register_dataclass(
+blocks.node(Loop, ["plant", "controller", "sensors", "navigator", "actuator"], ["delay"])
+blocks.node(
     Scenario,
     ["initial", "dt", "reference", "environment", "seed", "run", "bound"],
     ["periods", "samples", "steps", "keep_every"],

@@ -13,14 +13,13 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.core import Tracer
 from jax.typing import ArrayLike
 
-from plants import attitude
+from plants import attitude, blocks
 from plants.checks import Numbers, real
 from plants.disturbances import Disturbance, seen_from
 from plants.environment import OrbitEnv
@@ -36,7 +35,7 @@ class BodyState(NamedTuple):
 
 
 @partial(
-    jax.tree_util.register_dataclass,
+    blocks.node,
     data_fields=["inertia", "inverse", "wheel_axes", "wheel_inertia", "disturbances"],
     meta_fields=[],
 )

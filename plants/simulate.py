@@ -128,6 +128,8 @@ def simulate_many(
     with jax.enable_x64(True):
         if compiled is None:
             compiled = can_compile(loop, scenario)
+        if compiled:
+            blocks.register(loop.controller)
         flown = [pair if compiled else (dataclasses.replace(pair[0], controller=None), pair[1]) for pair in cases]
         batch = blocks.stack(flown, varying)
         if compiled:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from plants import cubesat3u, simulate
+from plants import blocks, cubesat3u, simulate
+from plants.disturbances import Drag, SolarPressure
 from plants.errors import ScenarioError
 from plants.simulate import Loop, Scenario
 
@@ -177,6 +178,68 @@ def test_reference_per_period():
     np.testing.assert_array_equal(run.references, np.repeat(reference, 2, axis=0))
     expected = (reference - run.outputs[::2]) @ np.array([5.0, 2.0])
     np.testing.assert_allclose(run.commands[::2, 0], expected, atol=1e-13)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_keep_every_thins_the_rows_and_changes_nothing_else(compiled):
+    loop = Loop(plant=Pendulum(), controller=pd(5.0, 2.0))
+    reference = np.column_stack([np.linspace(0, 0.3, 100), np.zeros(100)])
+    full = simulate.simulate(loop, scenario(reference=reference), compiled=compiled)
+    thin = simulate.simulate(loop, scenario(reference=reference, keep_every=10), compiled=compiled)
+    np.testing.assert_allclose(thin.time, full.time[::20], rtol=0, atol=ROUNDING)
+    for name in ("outputs", "estimates", "references", "commands", "inputs"):
+        np.testing.assert_allclose(getattr(thin, name), getattr(full, name)[::20], rtol=0, atol=ROUNDING)
+    assert simulate.row_bytes(loop, scenario(keep_every=10)) * 20 == simulate.row_bytes(loop, scenario())
+    with pytest.raises(ScenarioError, match="keep_every = 7"):
+        simulate.simulate(loop, scenario(keep_every=7))
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_keep_every_and_a_failure_between_rows(compiled):
+    loop = Loop(plant=Pendulum(), controller=NotANumber(limit=0.5))
+    start = Swing(0.0, 3.0)
+    full = simulate.simulate(loop, scenario(initial=start), compiled=compiled)
+    thin = simulate.simulate(loop, scenario(initial=start, keep_every=20), compiled=compiled)
+    assert 0 < full.failed_at < 1
+    assert (thin.failed_at, thin.culprit, len(thin.time)) == (full.failed_at, "controller", 1)
+
+
+def test_classes_with_the_same_fields_are_different_programs():
+    """Otherwise `jit` flies one controller for another; it takes luck to see it, so the structures are compared."""
+
+    @dataclass(frozen=True)
+    class Other(NotANumber):
+        def step(self, s, y, r):
+            return s, 0.0 * y[:1]
+
+    blocks.register((NotANumber(1.0), Other(1.0)))
+    assert jax.tree.structure(NotANumber(1.0)) == jax.tree.structure(NotANumber(2.0))
+    assert jax.tree.structure(NotANumber(1.0)) != jax.tree.structure(Other(1.0))
+    sides = np.ones(3), np.zeros(3), 1.0
+    assert jax.tree.structure(Drag.create(*sides)) != jax.tree.structure(SolarPressure.create(*sides))
+    loop = Loop(plant=Pendulum(), controller=NotANumber(1.0))
+    with pytest.raises(ScenarioError, match="run 1 differs from run 0"):
+        simulate.simulate_many([(loop, scenario()), (replace(loop, controller=Other(1.0)), scenario())])
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_the_controllers_last_state_comes_back(compiled):
+    """A counter, as of solves that failed."""
+
+    @dataclass(frozen=True)
+    class Counter:
+        limit: float = 0.0
+        dt: float = 0.05
+
+        def init(self):
+            return 0
+
+        def step(self, count, y, r):
+            return count + (y[0] > self.limit), 0.0 * y[:1]
+
+    run = simulate.simulate(Loop(plant=Pendulum(), controller=Counter()), scenario(), compiled=compiled)
+    assert run.memory == (run.estimates[::2, 0] > 0).sum()
+    assert 0 < run.memory < 100
 
 
 @pytest.mark.slow
