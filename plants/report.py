@@ -12,15 +12,16 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
+from cycler import cycler
 from matplotlib.figure import Figure
 
 INK = "#010203"  # stands for the page's text colour while a figure is drawn
-STYLE = {
+STYLE: dict[Any, Any] = {
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
     "axes.facecolor": "none",
     "axes.grid": True,
-    "axes.prop_cycle": mpl.cycler(color=["#2b7fc3", "#e07b1a", "#2f9e52", "#c2459b", "#8a6fd1", "#a08a2a", "#7a7a7a"]),
+    "axes.prop_cycle": cycler(color=["#2b7fc3", "#e07b1a", "#2f9e52", "#c2459b", "#8a6fd1", "#a08a2a", "#7a7a7a"]),
     "axes.spines.right": False,
     "axes.spines.top": False,
     "axes.titlesize": "medium",
@@ -68,6 +69,12 @@ def table(headers: Sequence[str], rows: Sequence[Sequence[Any]], *, marks: Seque
         cells = (f'<td class="{c}">{html.escape(str(v))}</td>' for v, c in zip(row, classes, strict=True))
         lines.append(f"<tr>{''.join(cells)}</tr>")
     return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
+
+
+def text_table(headers: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """Aligned columns for the terminal."""
+    widths = [max(len(str(row[j])) for row in (headers, *rows)) for j in range(len(headers))]
+    return "\n".join("  ".join(str(v).ljust(w) for v, w in zip(row, widths, strict=True)) for row in (headers, *rows))
 
 
 def claims_table(claims: Sequence[Claim]) -> str:

@@ -9,19 +9,26 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from synth.antiwindup import AntiWindup as AntiWindup
+    from synth.controller import Controller as Controller
     from synth.controller import LinearController as LinearController
     from synth.controller import proportional_derivative as proportional_derivative
     from synth.controller import state_feedback as state_feedback
     from synth.design import Design as Design
     from synth.design import Info as Info
+    from synth.design import Shaping as Shaping
     from synth.errors import AssumptionError as AssumptionError
     from synth.errors import InfeasibleError as InfeasibleError
     from synth.errors import ModelError as ModelError
     from synth.errors import NumericalError as NumericalError
     from synth.errors import SynthError as SynthError
     from synth.errors import VerificationError as VerificationError
+    from synth.gap import Gap as Gap
+    from synth.gap import gapmetric as gapmetric
     from synth.generalized import GeneralizedPlant as GeneralizedPlant
     from synth.hinfinity import hinfsyn as hinfsyn
+    from synth.loopshaping import ncfmargin as ncfmargin
+    from synth.loopshaping import ncfsyn as ncfsyn
     from synth.norms import h2norm as h2norm
     from synth.norms import hinfnorm as hinfnorm
     from synth.norms import verify as verify
@@ -34,8 +41,11 @@ if TYPE_CHECKING:
     from synth.statespace import series as series
 
 _HOME = {
+    "AntiWindup": "antiwindup",
     "AssumptionError": "errors",
+    "Controller": "controller",
     "Design": "design",
+    "Gap": "gap",
     "GeneralizedPlant": "generalized",
     "InfeasibleError": "errors",
     "Info": "design",
@@ -43,16 +53,20 @@ _HOME = {
     "ModelError": "errors",
     "Mpc": "predictive",
     "NumericalError": "errors",
+    "Shaping": "design",
     "StateSpace": "statespace",
     "SynthError": "errors",
     "VerificationError": "errors",
     "c2d": "statespace",
     "feedback": "statespace",
+    "gapmetric": "gap",
     "h2norm": "norms",
     "hinfnorm": "norms",
     "hinfsyn": "hinfinity",
     "lft": "statespace",
     "mpc": "predictive",
+    "ncfmargin": "loopshaping",
+    "ncfsyn": "loopshaping",
     "proportional_derivative": "controller",
     "series": "statespace",
     "state_feedback": "controller",

@@ -16,7 +16,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -37,9 +37,9 @@ ACCEPT = 1e-2  # a norm within this of the optimum counts as reaching it
 class Route(Protocol):
     """One method on a conditioned plant."""
 
-    solver: str
-    tolerance: float
-    backoff: tuple[float, ...]  # relative distances from the optimum at which to ask for controllers, in turn
+    solver: ClassVar[str]
+    tolerance: ClassVar[float]  # relative, of that solver
+    backoff: ClassVar[tuple[float, ...]]  # relative distances from the optimum at which to ask for controllers, in turn
 
     def minimise(self) -> tuple[float, str]:
         """The lowest level the method believes possible, and the solver's word on it."""

@@ -38,7 +38,7 @@ def is_stable(G: StateSpace) -> bool:
     """All poles strictly inside the unit circle (discrete) or the left half plane (continuous)."""
     if G.n == 0:
         return True
-    return spectral_radius(G.A) < 1 if G.discrete else bool(G.poles().real.max() < 0)
+    return spectral_radius(G.A) < 1 if G.discrete else bool(np.real(G.poles()).max() < 0)
 
 
 def balance(G: StateSpace) -> StateSpace:
@@ -80,7 +80,7 @@ def hinfnorm(system: Any, tol: float = 1e-7) -> tuple[float, float]:
     G = StateSpace.of(system)
     if not is_stable(G):
         poles = G.poles()
-        worst = poles[np.argmax(np.abs(poles) if G.discrete else poles.real)]
+        worst = poles[np.argmax(np.abs(poles) if G.discrete else np.real(poles))]
         return np.inf, float(abs(np.angle(worst)) / G.dt if G.discrete else abs(worst.imag))
     if G.discrete:
         norm, theta = _peak(balance(G), tol)
@@ -109,14 +109,14 @@ def verify(system: Any) -> Verification:
     """
     G = StateSpace.of(system)
     poles = G.poles()
-    radius = spectral_radius(G.A) if G.discrete else float(poles.real.max(initial=-np.inf))
+    radius = spectral_radius(G.A) if G.discrete else float(np.real(poles).max(initial=-np.inf))
     if not is_stable(G):
         what = "spectral radius" if G.discrete else "largest real part of a pole"
         raise VerificationError(f"the closed loop is unstable: {what} {radius:.9g}")
     peak, frequency = hinfnorm(G)
     H = balance(G) if G.discrete else balance(cayley(balance(G), cayley_rate(G)))
     entries = np.linalg.norm(H.D, 2) + np.linalg.norm(H.C, 2) * np.linalg.norm(H.B, 2)
-    norm = confirm(H, max(peak, ROUNDOFF * entries))
+    norm = confirm(H, max(peak, ROUNDOFF * float(entries)))
     return Verification(radius, norm, peak, frequency)
 
 
@@ -169,7 +169,7 @@ def _polish(gain, angle: float, level: float) -> tuple[float, float]:
 
 def _gain(G: StateSpace):
     """The function angle -> largest singular value of G(e^{j angle}); one Schur form serves every frequency."""
-    T, Z = sla.schur(G.A.astype(complex), output="complex")
+    T, Z = sla.schur(G.A.astype(complex), output="complex")[:2]
     ZB, CZ, eye = Z.conj().T @ G.B, G.C @ Z, np.eye(G.n)
 
     def gain(angle: float) -> float:
@@ -197,7 +197,7 @@ def _crossings(G: StateSpace, level: float) -> np.ndarray:
         [np.zeros((n, n)), -A.T, np.zeros((n, m))],
         [np.zeros((m, n)), -B.T, np.zeros((m, m))],
     ])  # fmt: skip
-    alpha, beta = sla.eigvals(M, N, homogeneous_eigvals=True, check_finite=False)
+    alpha, beta = np.asarray(sla.eigvals(M, N, homogeneous_eigvals=True, check_finite=False))
     near = np.abs(np.abs(alpha) - np.abs(beta)) <= NEAR_CIRCLE * np.abs(beta)
     angles = np.abs(np.angle(alpha[near]) - np.angle(beta[near]))
     return np.unique(np.minimum(angles, 2 * np.pi - angles))

@@ -126,7 +126,7 @@ class StateSpace:
         """The same system as a `control.StateSpace`."""
         import control
 
-        return control.ss(self.A, self.B, self.C, self.D, self.dt)
+        return control.StateSpace(self.A, self.B, self.C, self.D, self.dt)
 
     @classmethod
     def of(cls, system: Any) -> StateSpace:
@@ -151,7 +151,7 @@ class StateSpace:
         )
 
 
-def _is_singular(M: np.ndarray, size: float) -> bool:
+def _is_singular(M: np.ndarray, size: float | np.floating) -> bool:
     """Singular to working precision, for a matrix that is the difference of matrices of norm `size`."""
     return bool(np.linalg.svd(M, compute_uv=False).min(initial=np.inf) <= 1e-14 * size)
 

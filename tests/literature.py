@@ -15,7 +15,7 @@ GAMMA_PECORILLA2024 = 4.1579256061e-6
 
 
 def cubesat_model() -> StateSpace:
-    """Pecorilla and Stesina (2024), doi 10.1002/rnc.7119, equations (12) to (15) with tables 3 and 5: exact ZOH, 0.5 s."""
+    """Pecorilla and Stesina (2024), doi 10.1002/rnc.7119, equations (12) to (15), tables 3 and 5: exact hold, 0.5 s."""
     mu, radius = 3.986004418e14, 6378137.0 + 470e3
     w0 = np.sqrt(mu / radius**3)
     Ix, Iy, Iz = 0.0546, 0.0546, 0.0074
@@ -29,7 +29,7 @@ def cubesat_model() -> StateSpace:
 
 
 def cubesat_pecorilla2024(factor: float = 1.0) -> GeneralizedPlant:
-    """Equation (27) with the weights of table 4, all of them multiplied by `factor` (gamma then goes with its square)."""
+    """Equation (27) with the weights of table 4, all multiplied by `factor` (gamma goes with its square)."""
     return GeneralizedPlant.tracking(
         cubesat_model(),
         Wact=factor * 1e-2 * np.eye(3),

@@ -17,7 +17,7 @@ import scipy.linalg as sla
 from synth.errors import NumericalError
 from synth.generalized import GeneralizedPlant
 from synth.lmi.loops import recover
-from synth.lmi.solve import BACKOFF, TOLERANCE, solve, staircase
+from synth.lmi.solve import BACKOFF, TOLERANCE, solve, staircase, value
 from synth.statespace import StateSpace
 
 LARGEST = 1e5  # bound on the eigenvalues of R and S in balanced coordinates, where their natural size is one
@@ -34,8 +34,8 @@ def existence(plant: GeneralizedPlant, R: Any, S: Any, g: Any) -> list[cp.Expres
     A, B1, B2, C1, D11, D12, C2, D21 = (
         plant.A, plant.B1, plant.B2, plant.C1, plant.D11, plant.D12, plant.C2, plant.D21,
     )  # fmt: skip
-    NR = sla.block_diag(sla.null_space(np.hstack([B2.T, D12.T])), np.eye(nw))
-    NS = sla.block_diag(sla.null_space(np.hstack([C2, D21])), np.eye(nz))
+    NR: Any = sla.block_diag(sla.null_space(np.hstack([B2.T, D12.T])), np.eye(nw))
+    NS: Any = sla.block_diag(sla.null_space(np.hstack([C2, D21])), np.eye(nz))
     control = staircase([
         [R - A @ R @ A.T, -A @ R @ C1.T,                   -B1],
         [                  g * np.eye(nz) - C1 @ R @ C1.T, -D11],
@@ -121,7 +121,7 @@ class Eliminated:
         """The optimal level and the solver's status."""
         g = cp.Variable()
         status = solve(g, existence(self.plant, self.R, self.S, g))
-        return float(g.value), status
+        return float(value(g)), status
 
     def controllers(self, level: float) -> Iterator[StateSpace]:
         """The central controller of the analytic centre of all (R, S) that reach `level`.
@@ -133,4 +133,4 @@ class Eliminated:
         bound = LARGEST * np.eye(self.plant.sizes[0])
         for bounds in ([], [bound - self.R, bound - self.S]):
             solve(0, [*lmis, *bounds])
-            yield controller(self.plant, self.R.value, self.S.value, level)
+            yield controller(self.plant, value(self.R), value(self.S), level)

@@ -19,7 +19,7 @@ import cvxpy as cp
 import numpy as np
 
 from synth.lmi.loops import Loop, OutputFeedback
-from synth.lmi.solve import BACKOFF, TOLERANCE, solve, staircase
+from synth.lmi.solve import BACKOFF, TOLERANCE, solve, staircase, value
 from synth.statespace import StateSpace
 
 
@@ -47,7 +47,7 @@ class FullOrder:
         """The optimal level and the solver's status."""
         g = cp.Variable()
         status = solve(g, [hinf(self.unknowns.loop, g)])
-        return float(g.value), status
+        return float(value(g)), status
 
     def controllers(self, level: float) -> Iterator[StateSpace]:
         """The controller at the analytic centre of all unknowns that reach `level`."""

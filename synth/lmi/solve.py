@@ -8,6 +8,7 @@ from typing import Any
 
 import cvxpy as cp
 import numpy as np
+from cvxpy.error import SolverError
 
 from synth.errors import NumericalError
 
@@ -47,9 +48,16 @@ def solve(objective: Any, lmis: Sequence[cp.Expression], *, tol: float = TOLERAN
         warnings.simplefilter("ignore")
         try:
             problem.solve(solver=cp.CLARABEL, **settings)
-        except cp.error.SolverError as error:
+        except SolverError as error:
             raise NumericalError(f"Clarabel stopped: {error}", {"clarabel": str(error)}) from None
     status = str(problem.status)
     if status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
         raise NumericalError(f"Clarabel ended with status {status!r}", {"clarabel": status})
     return status
+
+
+def value(unknown: cp.Variable) -> np.ndarray:
+    """The value of an unknown after `solve`."""
+    if unknown.value is None:
+        raise NumericalError(f"the unknown {unknown.name()} has no value: solve first")
+    return np.asarray(unknown.value)

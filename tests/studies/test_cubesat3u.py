@@ -1,0 +1,138 @@
+"""The CubeSat study from its command line: requirements, the paper's claims, files, and an interruption."""
+
+import json
+import re
+
+import cubesat3u as study
+import numpy as np
+import pytest
+from cubesat3u_claims import claims, growth
+
+from plants import campaign, cubesat3u
+from synth import Design
+from synth.errors import ModelError
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    """Five dispersed runs of full length: the study, its claims by their text, and the folder."""
+    out = tmp_path_factory.mktemp("cubesat3u")
+    kept = {}
+    original = study.fly
+
+    def fly(s, *arguments):
+        kept["study"] = s
+        original(s, *arguments)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "fly", fly)
+        assert study.main(["--runs", "5", "--out", str(out)]) == 0
+    judged = claims(kept["study"])
+    return kept["study"], {c.text: c.verdict for c in judged}, out
+
+
+def test_ekf_with_hinf_meets_table_1_in_every_run(flown):
+    met = study.passes(flown[0].campaigns[study.HINF].results)
+    assert {name: bool(m.all()) for name, m in met.items()} == dict.fromkeys(study.INDICES, True)
+
+
+def test_qualitative_findings(flown):
+    s, verdicts, _ = flown
+    assert not study.passes(s.nominal[study.SVD_HINF])["AKE"]
+    assert not study.passes(s.campaigns[study.SVD_HINF].results)["AKE"].any()
+    pse = {name: study.worst(i, "pse") for name, i in s.nominal.items()}
+    settling = {name: float(i.settling_time) for name, i in s.nominal.items()}
+    control = {name: study.worst(i, "control_error") for name, i in s.nominal.items()}
+    paper = (study.MPC[0], study.SVD_HINF, study.HINF)
+    assert min(paper, key=pse.__getitem__) == study.HINF
+    assert min(paper, key=settling.__getitem__) == study.MPC[0]
+    assert min(paper, key=control.__getitem__) == study.MPC[0]
+    for text in (
+        "MPC reaches the desired attitude faster",
+        "MPC has the smallest control error",
+        "MPC costs more control",
+    ):
+        assert verdicts[text] == "holds"
+    assert (
+        verdicts["With MPC instead of Hinf, the SVD alone would not even stabilise"] == "depends on the form of the MPC"
+    )
+    assert "the form of the MPC" in verdicts["EKF + MPC has the worst PSE but meets the requirement"]
+    assert "not measured" not in verdicts.values()
+
+
+def test_what_the_paper_does_not_say(flown):
+    s, _, _ = flown
+    hinf, pd = s.nominal[study.HINF], s.nominal[study.PD]
+    assert study.worst(pd, "pse") < study.worst(hinf, "pse")
+    assert float(pd.settling_time) < float(hinf.settling_time)
+    growths = {name: growth(c, 1) for name, c in s.controllers.items()}
+    assert growths["MPC velocity"] == pytest.approx(1.627, abs=0.05)  # literature: rho 1.12 to 1.63
+    assert growths["MPC position"] == pytest.approx(1.123, abs=0.02)
+    assert growths["Hinf"] < 1
+    assert growth(s.controllers["Hinf"], 4) < 1 < growth(s.controllers["Hinf"], 5)
+
+
+def test_dispersions_were_applied(flown):
+    s, _, _ = flown
+    for flight in s.campaigns.values():
+        assert flight.complete
+        np.testing.assert_allclose(flight.applied.inertia, flight.dispersed.inertia, rtol=1e-12)
+        assert any("inertia" in name for name in flight.varied)
+
+
+def test_files_and_report(flown):
+    s, _, out = flown
+    design = Design.load(out / "hinf.json")
+    assert design.controller.digest() == s.design.controller.digest()
+    assert design.plant.units["Tx"] == "N m"
+    assert {p.name for p in out.iterdir()} == {
+        "hinf.json", "hinf.mat", "mpc_velocity.json", "mpc_velocity.mat", "mpc_position.json", "mpc_position.mat",
+        "report.html", "indices.png",
+    }  # fmt: skip
+    assert json.loads((out / "mpc_position.json").read_text())["form"] == "position"
+    page = (out / "report.html").read_text()
+    assert page.count("<figure>") == 11
+    for number in range(7, 17):
+        assert re.search(rf"figure {number}\b", page)
+    assert not re.search(r'(src|href)="(https?:)?//', page)
+    assert "EKF + PD" in page
+    assert "complete" in page
+
+
+def test_interruption_keeps_what_was_flown(tmp_path, monkeypatch, capsys):
+    real, calls = campaign.campaign, []
+
+    def interrupted(*arguments, **options):
+        calls.append(1)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return real(*arguments, **options)
+
+    monkeypatch.setattr(campaign, "campaign", interrupted)
+    assert study.main(["--fast", "--runs", "1", "--out", str(tmp_path)]) == 130
+    assert "INTERRUPTED" in (tmp_path / "report.html").read_text()
+    printed = capsys.readouterr().out
+    assert "EKF + Hinf" in printed
+    assert "NOT MEASURED: interrupted before" in printed
+
+
+def test_bad_options_are_refused(capsys):
+    for arguments, message in ((["--runs", "0"], "at least one run"), (["--seed", "-1"], "at least 0")):
+        with pytest.raises(SystemExit):
+            study.main(arguments)
+        assert message in capsys.readouterr().err
+
+
+def test_requirements_are_those_of_table_1():
+    assert study.BOUNDS == pytest.approx({"APE": 0.65, "control error": 0.31, "AKE": 0.31, "PSE": 0.12})
+    assert cubesat3u.REQUIREMENTS.pse_interval == 1.0
+
+
+def test_a_changed_controller_file_is_refused(flown, tmp_path):
+    data = json.loads((flown[2] / "hinf.json").read_text())
+    data["plant"]["A"][0][0] += 1e-9
+    (tmp_path / "hinf.json").write_text(json.dumps(data))
+    with pytest.raises(ModelError, match="plant_sha256"):
+        Design.load(tmp_path / "hinf.json")
