@@ -36,12 +36,12 @@ def existence(plant: GeneralizedPlant, R: Any, S: Any, g: Any) -> list[cp.Expres
     )  # fmt: skip
     NR: Any = sla.block_diag(sla.null_space(np.hstack([B2.T, D12.T])), np.eye(nw))
     NS: Any = sla.block_diag(sla.null_space(np.hstack([C2, D21])), np.eye(nz))
-    control = staircase([
+    control: Any = staircase([
         [R - A @ R @ A.T, -A @ R @ C1.T,                   -B1],
         [                  g * np.eye(nz) - C1 @ R @ C1.T, -D11],
         [                                                   g * np.eye(nw)],
     ])  # fmt: skip
-    sensing = staircase([
+    sensing: Any = staircase([
         [S - A.T @ S @ A, -A.T @ S @ B1,                   -C1.T],
         [                  g * np.eye(nw) - B1.T @ S @ B1, -D11.T],
         [                                                   g * np.eye(nz)],
