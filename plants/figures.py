@@ -9,6 +9,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
+from plants.indices import clopper_pearson
 from plants.report import STYLE
 
 Series = Mapping[str, tuple[np.ndarray, np.ndarray]]  # name -> time (N,) s, values (N, k)
@@ -84,4 +85,73 @@ def levels(names: Sequence[str], values: Mapping[str, np.ndarray], bounds: Mappi
             ax.set_title(f"{index}, {unit}")
             ax.set_yscale("log")
             ax.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=7)
+        return fig
+
+
+def scatter(
+    panels: Mapping[str, tuple[np.ndarray, np.ndarray, Mapping[str, np.ndarray]]],
+    xlabel: str,
+    ylabel: str,
+    *,
+    up: Sequence[float] = (),
+    across: Sequence[float] = (),
+    diagonal: bool = False,
+) -> Figure:
+    """Points side by side: title -> (x (N,), y (N,), group -> mask (N,)), a colour for each group.
+
+    Dashed lines stand at the x of `up` and the y of `across`, and on y = x for `diagonal`.
+    """
+    with mpl.rc_context(STYLE):
+        fig = Figure(figsize=(max(4.6, 3.6 * len(panels)), 3.8), layout="constrained")
+        axes = fig.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
+        for ax, (title, (x, y, groups)) in zip(axes, panels.items(), strict=True):
+            size = 7.0 if len(x) <= DENSE else 2.0
+            for label, mask in groups.items():
+                ax.plot(x[mask], y[mask], ".", ms=size, mew=0, label=label, rasterized=True)
+            ax.set_title(title)
+            ax.set_xlabel(xlabel)
+            for level in up:
+                ax.axvline(level, color="#c0322b", ls="--", lw=0.9)
+            for level in across:
+                ax.axhline(level, color="#c0322b", ls="--", lw=0.9)
+            if diagonal:
+                ax.axline((0, 0), slope=1, color="#888888", ls="--", lw=0.9)
+        axes[0].set_ylabel(ylabel)
+        handles, labels = axes[0].get_legend_handles_labels()
+        fig.legend(handles, labels, loc="outside upper center", ncols=min(4, len(labels)), markerscale=2)
+        return fig
+
+
+def shares(
+    edges: np.ndarray,
+    counts: Mapping[str, np.ndarray],
+    totals: np.ndarray,
+    xlabel: str,
+    *,
+    up: Sequence[float] = (),
+) -> Figure:
+    """Share of runs in each bin, with its exact 95 % interval; dashed lines at the x of `up`.
+
+    Parameters
+    ----------
+    edges : (k + 1,) of the bins
+    counts : name -> (k,) runs that count
+    totals : (k,) runs in the bin; empty bins are left out
+    """
+    with mpl.rc_context(STYLE):
+        fig = Figure(figsize=(8.0, 3.4), layout="constrained")
+        ax = fig.subplots()
+        filled = totals > 0
+        middle = (0.5 * (edges[1:] + edges[:-1]))[filled]
+        for name, hits in counts.items():
+            share = hits[filled] / totals[filled]
+            low, high = clopper_pearson(hits[filled], totals[filled])
+            ax.errorbar(
+                middle, share, [share - low, high - share], fmt=".-", ms=4, capsize=2, elinewidth=0.8, label=name
+            )
+        for level in up:
+            ax.axvline(level, color="#c0322b", ls="--", lw=0.9)
+        ax.set_xlabel(xlabel)
+        ax.set_ylabel("share of runs")
+        fig.legend(loc="outside upper center", ncols=min(4, len(counts)))
         return fig

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
+from scipy.stats import beta
 
 from plants import attitude, blocks
 from plants.errors import ScenarioError
@@ -172,6 +173,28 @@ def settling_time(time: np.ndarray, angle: np.ndarray, threshold: float) -> floa
     if above.size == 0:
         return float(time[0])
     return float(time[above[-1] + 1]) if above[-1] + 1 < len(time) else np.inf
+
+
+def clopper_pearson(successes: ArrayLike, runs: ArrayLike, confidence: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+    """Exact interval of a probability from `successes` (...) in `runs` (...) independent runs: (low, high), (...).
+
+    It covers the truth with at least the given confidence. Clopper and Pearson (1934), Biometrika 26.
+
+    Raises
+    ------
+    ScenarioError
+        Counts that are not whole numbers with 0 <= successes <= runs, no runs, a confidence outside (0, 1).
+    """
+    k, n = np.asarray(successes, float), np.asarray(runs, float)
+    if not ((k >= 0) & (k <= n) & (n >= 1) & (k % 1 == 0) & (n % 1 == 0)).all():
+        raise ScenarioError(
+            f"successes = {successes} of runs = {runs}: give whole numbers, 0 <= successes <= runs >= 1"
+        )
+    if not 0 < confidence < 1:
+        raise ScenarioError(f"confidence = {confidence}: give a probability in (0, 1)")
+    tail = (1 - confidence) / 2
+    low = np.where(k == 0, 0.0, beta.ppf(tail, np.maximum(k, 1), n - k + 1))
+    return low, np.where(k == n, 1.0, beta.ppf(1 - tail, k + 1, np.maximum(n - k, 1)))
 
 
 def _levels(run: Run, start: float, delta_t: float, share: float, threshold: float) -> Any:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import binomtest
 
 from plants import indices
 from plants.errors import ScenarioError
@@ -158,3 +159,20 @@ def test_nothing_to_judge():
         indices.indices([])
     with pytest.raises(ScenarioError, match="outputs have shape"):
         indices.indices(replace(run(np.zeros((40, 3))), outputs=np.zeros((40, 2))), start=0.0)
+
+
+def test_exact_binomial_interval():
+    """Against SciPy's own, and its defining tails; all and nothing give one-sided intervals in closed form."""
+    k, n = np.array([0, 1, 48, 99, 100]), np.full(5, 100)
+    low, high = indices.clopper_pearson(k, n)
+    for i in range(5):
+        expected = binomtest(int(k[i]), 100).proportion_ci(0.95, method="exact")
+        assert (low[i], high[i]) == pytest.approx((expected.low, expected.high), abs=1e-12)
+    assert (low[0], high[-1]) == (0, 1)
+    assert low[-1] == pytest.approx(0.025 ** (1 / 100))
+    assert indices.clopper_pearson(50, 100, 0.5)[0] > low[2]
+    for bad in ((5, 4), (-1, 4), (0, 0), (1.5, 4), (np.nan, 4)):
+        with pytest.raises(ScenarioError, match="successes"):
+            indices.clopper_pearson(*bad)
+    with pytest.raises(ScenarioError, match="confidence"):
+        indices.clopper_pearson(1, 2, 1.0)
