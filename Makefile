@@ -14,7 +14,7 @@ demo: $(VENV)/run.stamp
 	$(BIN)/python examples/cubesat3u.py --out $(OUT)
 
 test: $(VENV)/dev.stamp
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 check: $(VENV)/dev.stamp
 	$(BIN)/ruff check .

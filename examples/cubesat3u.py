@@ -199,13 +199,13 @@ def fly(study: Study, runs: int, seed: int, duration: float) -> None:
         for name in (SVD_HINF, *MPC):
             navigator, controller = name.split(" + ")
             shared = Shared(surroundings, study.controllers[controller], navigators[navigator], periods)
-            study.quiet[name] = measure(simulate.simulate(*quiet(*case(start, shared))))
+            study.quiet[name] = measure(simulate.simulate_many([quiet(*case(start, shared))], progress=False)[0])
         bar.update(2)
         night = cubesat3u.environment(orbits)
         for name in (HINF, DIRECT):
             navigator, controller = name.split(" + ")
             shared = Shared(night, study.controllers[controller], navigators[navigator], round(orbits / 0.5))
-            study.eclipse[name] = simulate.simulate(*case(start, shared))
+            study.eclipse[name] = simulate.simulate_many([case(start, shared)], progress=False)[0]
             bar.update()
     study.complete = True
 
@@ -308,7 +308,7 @@ def main(arguments: list[str] | None = None) -> int:
     print(report.text_table(("runs that meet it", *INDICES), campaign_rows(study)), end="\n\n")
     judged = claims(study)
     for claim in judged:
-        print(f"{claim.text}\n  {claim.verdict.upper()}: {claim.measured}")
+        print(f"{claim.text}\n  {claim.verdict}: {claim.measured}")
     print("\n".join(["", *findings(study)]))
     settings = f"{runs} dispersed runs, seed {options.seed}, {duration:g} s flights, window from {window:g} s"
     path = write(study, judged, options.out, settings)

@@ -199,15 +199,12 @@ def statements(study: Any) -> list[tuple[str, str, Callable[[], tuple[str, str]]
         return ("holds" if wins else "does not hold"), f"time of a step relative to Hinf: {ratios}"
 
     def superior() -> tuple[str, str]:
-        keys = ("ape", "control_error", "ake", "pse")
         others = (*MPC, SVD_HINF)
-        best = [key for key in keys if level(HINF, key) <= min(level(name, key) for name in others)]
-        beaten = [key for key in keys if level(PD, key) <= level(HINF, key)]
+        best = [name for name, key in INDICES.items() if level(HINF, key) <= min(level(n, key) for n in others)]
+        beaten = [name for name, key in INDICES.items() if level(PD, key) <= level(HINF, key)]
         verdict = "holds" if len(best) == 4 and len(beaten) < 4 else "depends on the index"
-        text = (
-            f"smallest in {', '.join(best) or 'none'}; a plain PD is as good or better in {', '.join(beaten) or 'none'}"
-        )
-        return verdict, text
+        text = f"smallest in {', '.join(best) or 'none'}; a plain PD is as good or better in"
+        return verdict, f"{text} {', '.join(beaten) or 'none'}"
 
     return [
         ("The EKF configurations meet the AKE requirement, SVD + Hinf does not", "section 3.2, figure 10", knowledge),

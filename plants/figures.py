@@ -8,6 +8,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from plants.indices import clopper_pearson
 from plants.report import STYLE
@@ -84,6 +85,9 @@ def levels(names: Sequence[str], values: Mapping[str, np.ndarray], bounds: Mappi
             ax.axhline(bounds[index], color="#c0322b", ls="--", lw=0.9)
             ax.set_title(f"{index}, {unit}")
             ax.set_yscale("log")
+            ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            ax.yaxis.set_major_formatter("{x:g}")
+            ax.yaxis.set_minor_formatter(NullFormatter())
             ax.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=7)
         return fig
 

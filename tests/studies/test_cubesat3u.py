@@ -115,7 +115,7 @@ def test_interruption_keeps_what_was_flown(tmp_path, monkeypatch, capsys):
     assert "INTERRUPTED" in (tmp_path / "report.html").read_text()
     printed = capsys.readouterr().out
     assert "EKF + Hinf" in printed
-    assert "NOT MEASURED: interrupted before" in printed
+    assert "not measured: interrupted before" in printed
 
 
 def test_bad_options_are_refused(capsys):
