@@ -106,6 +106,7 @@ class Start(NamedTuple):
     moments: np.ndarray  # (..., 3) kg m^2, diagonal of the inertia
     q: np.ndarray  # (..., 4) attitude relative to the desired frame
     rates: np.ndarray  # (..., 3) rad/s
+    torque: np.ndarray  # (..., 3) N m, constant, on the body; zero in the papers
 
 
 class Outcome(NamedTuple):
@@ -151,9 +152,9 @@ def satellite(moments: ArrayLike | None = None, *, torque: ArrayLike | None = No
     inertia = INERTIA.copy()
     if moments is not None:
         np.fill_diagonal(inertia, real("moments", moments, (3,)))
-    disturbances = () if torque is None else (ConstantTorque(value=real("torque", torque, (3,))),)
+    push = ConstantTorque(value=np.zeros(3) if torque is None else real("torque", torque, (3,)))
     return Satellite(
-        body=RigidBody.create(inertia, wheel_axes=WHEEL_AXES, wheel_inertia=WHEEL_INERTIA, disturbances=disturbances)
+        body=RigidBody.create(inertia, wheel_axes=WHEEL_AXES, wheel_inertia=WHEEL_INERTIA, disturbances=(push,))
     )
 
 
@@ -167,7 +168,6 @@ def manoeuvre(
     controller: Controller,
     *,
     duration: float = DURATION,
-    torque: ArrayLike | None = None,
     keep_every: int = 1,
 ) -> tuple[Loop, Scenario]:
     """Bring the satellite from `start` to rest at the desired attitude, wheels at rest at first.
@@ -177,7 +177,6 @@ def manoeuvre(
     start : one, not many
     controller : y is `Satellite.output`, its command the torque on the body (3,) N m
     duration : () s, a whole number of control periods
-    torque : (3,) N m, a constant disturbance
     keep_every : as in `Scenario`
 
     Raises
@@ -191,7 +190,7 @@ def manoeuvre(
     q, w = real("q", start.q, (4,)), real("rates", start.rates, (3,))
     if not np.isclose(np.linalg.norm(q), 1, rtol=0, atol=1e-9):
         raise ScenarioError(f"q = {q.tolist()} has length {np.linalg.norm(q)}: give a unit quaternion")
-    loop = Loop(plant=satellite(start.moments, torque=torque), controller=controller, actuator=wheels())
+    loop = Loop(plant=satellite(start.moments, torque=start.torque), controller=controller, actuator=wheels())
     return loop, Scenario(
         initial=BodyState(q=q, w=w, wheels=np.zeros(3)),
         dt=PERIOD,
@@ -204,7 +203,8 @@ def manoeuvre(
 def applied(loop: Loop, scenario: Scenario) -> Start:
     """The dispersion read back from what flies."""
     plant: Any = loop.plant
-    return Start(np.diag(plant.body.inertia), scenario.initial.q, scenario.initial.w)
+    torque = plant.body.disturbances[0].value
+    return Start(np.diag(plant.body.inertia), scenario.initial.q, scenario.initial.w, torque)
 
 
 def disperse(seed: int, index: int) -> Dispersion:
@@ -230,7 +230,8 @@ def disperse_region(seed: int, index: int) -> Dispersion:
 def starts(drawn: Dispersion) -> Start:
     """Dispersions with their Euler angles as quaternions."""
     with jax.enable_x64(True):
-        return Start(drawn.moments, np.asarray(attitude.from_euler(drawn.angles)), drawn.rates)
+        q = np.asarray(attitude.from_euler(drawn.angles))
+    return Start(drawn.moments, q, drawn.rates, np.zeros_like(drawn.rates))
 
 
 def monte_carlo(runs: int = 100, seed: int = 0) -> Start:
