@@ -1,0 +1,154 @@
+"""Linear-quadratic regulators: `lqr`, `dlqr` and `lqg`, with the names and returns of python-control and MATLAB.
+
+References: Anderson and Moore (1990), Optimal Control: Linear Quadratic Methods; Zhou, Doyle and Glover (1996), Robust
+and Optimal Control, chapter 13.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sla
+
+from synth.errors import AssumptionError, ModelError, NumericalError
+from synth.generalized import GeneralizedPlant
+from synth.precondition import check_assumptions
+from synth.statespace import StateSpace, as_matrix
+
+SYMMETRIC = 1e-12  # relative
+UNSEEN = 1e-10  # relative singular value below which a mode on the boundary is not seen
+
+
+def lqr(A: Any, B: Any, Q: Any, R: Any, N: Any = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Regulator u = -K x that minimises the integral of x'Q x + u'R u + 2 x'N u along dx = A x + B u.
+
+    Parameters
+    ----------
+    A : (n, n); B : (n, m)
+    Q : (n, n) symmetric positive semidefinite
+    R : (m, m) symmetric positive definite
+    N : (n, m) cross weight, [[Q, N], [N', R]] positive semidefinite; zero when left out
+
+    Returns
+    -------
+    K : (m, n) gain
+    S : (n, n) stabilising solution of A'S + S A - (S B + N) R^-1 (S B + N)' + Q = 0
+    E : (n,) closed-loop poles, complex
+
+    Raises
+    ------
+    ModelError : shapes do not fit, a number is not finite, weights that are not symmetric or not positive.
+    AssumptionError : (A, B) cannot be stabilised, or the weights do not see a mode on the imaginary axis.
+    NumericalError : no stabilising solution was found although both hold (nearly).
+    """
+    return _regulator(A, B, Q, R, N, discrete=False)
+
+
+def dlqr(A: Any, B: Any, Q: Any, R: Any, N: Any = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Regulator u = -K x that minimises the sum of x'Q x + u'R u + 2 x'N u along x+ = A x + B u.
+
+    Parameters, returns and raises as `lqr`, with S = A'S A - (A'S B + N) (R + B'S B)^-1 (A'S B + N)' + Q and the unit
+    circle for the imaginary axis.
+    """
+    return _regulator(A, B, Q, R, N, discrete=True)
+
+
+def lqg(G: Any, QXU: Any, QWV: Any) -> StateSpace:
+    """Controller u = K y (positive feedback, as MATLAB's) of least expected cost: Kalman filter and regulator.
+
+        dx = A x + B u + w,  y = C x + D u + v      (x+ for dx in discrete time)
+
+    Parameters
+    ----------
+    G : (p x m) StateSpace, control.StateSpace or (A, B, C, D, dt)
+    QXU : (n + m, n + m) weight of [x; u], symmetric positive semidefinite, its lower right block positive definite
+    QWV : (n + p, n + p) covariance (discrete) or intensity (continuous) of [w; v], likewise
+
+    Returns
+    -------
+    StateSpace : (m x p), of the order of G; in discrete time u depends on the measurements before the present one
+
+    Raises
+    ------
+    ModelError, AssumptionError, NumericalError : as `lqr`, for G or for its dual.
+    """
+    G = StateSpace.of(G)
+    n, m, p = G.n, G.nu, G.ny
+    W, V = as_matrix("QXU", QXU, (n + m, n + m)), as_matrix("QWV", QWV, (n + p, n + p))
+    K = _regulator(G.A, G.B, W[:n, :n], W[n:, n:], W[:n, n:], discrete=G.discrete)[0]
+    L = _regulator(G.A.T, G.C.T, V[:n, :n], V[n:, n:], V[:n, n:], discrete=G.discrete)[0].T
+    return StateSpace(G.A - G.B @ K - L @ (G.C - G.D @ K), L, -K, np.zeros((m, p)), G.dt)
+
+
+def as_weight(name: str, value: Any, size: int, *, definite: bool) -> np.ndarray:
+    """A symmetric positive (semi)definite matrix, or a ModelError that names it."""
+    M = as_matrix(name, value, (size, size))
+    scale = np.abs(M).max(initial=0.0)
+    if np.abs(M - M.T).max(initial=0.0) > SYMMETRIC * scale:
+        raise ModelError(f"{name} is not symmetric; pass ({name} + {name}')/2, which weighs the same")
+    least = np.linalg.eigvalsh(M).min(initial=np.inf)
+    if least < -SYMMETRIC * size * scale or (definite and least <= SYMMETRIC * scale):
+        kind = "definite" if definite else "semidefinite"
+        raise ModelError(f"{name} has the eigenvalue {least:.6g}; pass a symmetric positive {kind} matrix")
+    return M
+
+
+def _regulator(A, B, Q, R, N, *, discrete: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """`lqr` or `dlqr`."""
+    B = as_matrix("B", B)
+    n, m = B.shape
+    A, N = as_matrix("A", A, (n, n)), as_matrix("N", np.zeros((n, m)) if N is None else N, (n, m))
+    Q, R = as_weight("Q", Q, n, definite=False), as_weight("R", R, m, definite=True)
+    as_weight("[[Q, N], [N', R]]", np.block([[Q, N], [N.T, R]]), n + m, definite=False)
+    _check_stabilisable(A, B, discrete)
+    F = np.linalg.solve(R, N.T)
+    _check_seen(A - B @ F, Q - N @ F, discrete)
+    try:
+        if discrete:
+            S = sla.solve_discrete_are(A, B, Q, R, s=N)
+            K = np.linalg.solve(R + B.T @ S @ B, B.T @ S @ A + N.T)
+        else:
+            S = sla.solve_continuous_are(A, B, Q, R, s=N)
+            K = np.linalg.solve(R, B.T @ S + N.T)
+    except np.linalg.LinAlgError as error:
+        raise NumericalError(
+            f"the Riccati equation was not solved ({error}); rescale the states or the weights"
+        ) from None
+    E = np.linalg.eigvals(A - B @ K).astype(complex)
+    if (np.abs(E).max() >= 1) if discrete else (E.real.max() >= 0):
+        raise NumericalError(
+            f"the regulator found leaves a pole at {E[np.argmax(np.abs(E) if discrete else E.real)]:.6g}: the weights "
+            "hardly see it or the actuators hardly move it; rescale the states or change the weights"
+        )
+    return K, (S + S.T) / 2, E
+
+
+def _check_stabilisable(A, B, discrete: bool) -> None:
+    """Raise AssumptionError unless (A, B) can be stabilised."""
+    n, m = B.shape
+    I, O = np.eye(n), np.zeros
+    try:
+        check_assumptions(
+            GeneralizedPlant(
+                A=A, B1=I, B2=B, C1=I, D11=O((n, n)), D12=O((n, m)), C2=I, D21=O((n, n)), D22=O((n, m)),
+                dt=1.0 if discrete else 0.0,
+            )
+        )  # fmt: skip
+    except AssumptionError as error:
+        raise AssumptionError("(A, B) stabilisable", str(error), error.modes) from None
+
+
+def _check_seen(A, Q, discrete: bool) -> None:
+    """Raise AssumptionError for a mode on the stability boundary that Q does not see."""
+    size, weight = np.linalg.norm(A, 2) or 1.0, np.linalg.norm(Q, 2) or 1.0
+    for mode in np.linalg.eigvals(A):
+        off = abs(abs(mode) - 1) if discrete else abs(mode.real) / size
+        pencil = np.vstack([(A - mode * np.eye(len(A))) / size, Q / weight])
+        if off < UNSEEN and np.linalg.svd(pencil, compute_uv=False)[-1] < UNSEEN:
+            raise AssumptionError(
+                "(Q, A) without unseen modes on the stability boundary",
+                f"Q does not see the mode at eigenvalue {mode:.6g} of A, which neither decays nor grows, so that the "
+                "best regulator leaves it there; give it some weight",
+                (complex(mode),),
+            )
