@@ -26,6 +26,7 @@ from synth.generalized import GeneralizedPlant
 from synth.norms import Verification, verify
 from synth.precondition import check_assumptions, precondition
 from synth.statespace import StateSpace, cayley, cayley_rate, inverse_cayley
+from synth.threads import one_thread
 
 METHODS = ("auto", "lmi", "riccati", "standard", "extended")
 LARGEST_LMI = 20  # plant order up to which "auto" starts with the LMIs
@@ -60,6 +61,7 @@ class Candidate:
     level: float  # the level it was designed for
 
 
+@one_thread
 def hinfsyn(
     P: Any,
     nmeas: int | None = None,

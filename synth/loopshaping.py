@@ -33,6 +33,7 @@ from synth.generalized import GeneralizedPlant
 from synth.norms import balance, is_stable, verify
 from synth.precondition import check_assumptions
 from synth.statespace import StateSpace, as_matrix, common_timebase, series
+from synth.threads import one_thread
 
 METHODS = ("lmi", "riccati")
 AGREE = 1e-3  # relative difference of the two optimal levels beyond which the semidefinite program is not believed
@@ -48,6 +49,7 @@ class Optimum(NamedTuple):
     failures: dict[str, str]
 
 
+@one_thread
 def ncfsyn(
     G: Any,
     W1: Any = None,

@@ -23,6 +23,7 @@ from scipy.optimize import minimize_scalar
 
 from synth.errors import NumericalError, VerificationError
 from synth.statespace import StateSpace, cayley, cayley_rate
+from synth.threads import one_thread
 
 CONFIRM = (*(10.0**k for k in range(-7, 9)),)  # relative margins at which the second method confirms the first
 ROUNDOFF = 1e-9  # a norm below this part of the closed loop's own entries is reported as this part
@@ -71,6 +72,7 @@ def h2norm(system: Any) -> float:
     return float(np.sqrt(max(np.trace(G.C @ W @ G.C.T) + np.trace(G.D @ G.D.T), 0.0)))
 
 
+@one_thread
 def hinfnorm(system: Any, tol: float = 1e-7) -> tuple[float, float]:
     """H-infinity norm and the frequency (rad/s) of the peak, from below to relative accuracy `tol`.
 
@@ -100,6 +102,7 @@ class Verification:
     frequency: float  # rad/s, where the peak is
 
 
+@one_thread
 def verify(system: Any) -> Verification:
     """Measure a closed loop: stability first, then the norm by two independent methods.
 
