@@ -81,7 +81,7 @@ def controller(plant: GeneralizedPlant, R: np.ndarray, S: np.ndarray, g: float) 
     V[2 * n : 3 * n, n:], V[3 * n : 4 * n, :n], V[4 * n : 4 * n + nw, n:] = plant.C2.T, I, plant.D21.T
     try:
         s, r = (np.linalg.inv(np.linalg.cholesky(X)) for X in (S, R))
-        E = sla.block_diag(s, r, s, r, np.eye(nw + nz) / np.sqrt(g))
+        E = np.asarray(sla.block_diag(s, r, s, r, np.eye(nw + nz) / np.sqrt(g)))
         M, U, V = E @ M @ E.T, E @ U, E @ V
         (QU, RU), (QV, RV) = _basis(U), _basis(V)
         N = sla.null_space(QU.T)
