@@ -26,6 +26,8 @@ from synth.statespace import StateSpace, series
 if TYPE_CHECKING:
     import control
 
+    from synth.certify import Certificate
+
 FORMAT = "convex-synth design"
 FORMAT_VERSION = 1
 SHAPING = ("W1", "W2", "Ks")  # systems in a file of a loop-shaping design
@@ -122,6 +124,12 @@ class Design:
 
             return write_atomically(path, mat_bytes(self))
         raise ModelError(f"path ends with {path.suffix!r}; a design is saved as .json or .mat")
+
+    def certify(self, *, lower: float | None = None, upper: float | None = None) -> Certificate:
+        """Prove both bounds of the norm in ball arithmetic; see `synth.certify.certify`."""
+        from synth.certify import certify
+
+        return certify(self, lower=lower, upper=upper)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Design:

@@ -1,0 +1,314 @@
+"""Proofs about H-infinity norms in ball arithmetic: what `certify` claims rests on this file and on Arb alone.
+
+Every number is a midpoint with a radius that encloses the exact result. Plants and controllers enter as the exact
+doubles they are; witnesses are doubles too, and a proof is a handful of products with them and one test,
+
+    |K M K' - I| < 1  in the largest row sum  =>  M > 0,
+
+for a symmetric M and any K: an inverse Cholesky factor that came out of floating-point arithmetic will do.
+
+Upper bound: with P = (T T')^-1 the bounded real lemma says that the closed loop is stable with norm below g when
+
+    M = [T^-1 A T   T^-1 B / g]
+        [    C T           D / g]       satisfies  I - M'M > 0.
+
+Lower bound: suppose a controller of any order reaches a norm below g. Its closed loop has a storage function, the
+least of which over the controller's states is x'P x with P > 0: for every x and w, not both zero, there is a u with
+
+    x+'P x+ + |z|^2 - g^2 |w|^2 < x'P x,                                                                      (1)
+
+and the dual plant has Q > 0 likewise, with P <= g^2 Q^-1. Call X a sub-solution for F when, with w = F x and
+whatever u, x+'X x+ + |z|^2 - g^2 |w|^2 >= x'X x: a matrix inequality linear in X. If X and X' are sub-solutions for
+the same F, so are those between them, and P > X implies P > X': on the way P can touch none of them, for at the x of
+contact (1) would make x+'P x+ < x+'X x+. The way begins at X = 0, a sub-solution for F = 0, and leads in a few steps
+close to the game Riccati solutions of both sides. There is no such controller if
+
+- at P > X some w, from x = 0, gains whatever u is: x+'X x+ + |z|^2 - g^2 |w|^2 > 0; or
+- P > X and Q > Y couple too strongly: X + d I <= P + d I <= g^2 Q^-1 + d I gives, as the inverse is monotone,
+  (X + d I)^-1 >= Q (g^2 I + d Q)^-1 >= Y (g^2 I + d Y)^-1, which a vector refutes.
+
+D22 plays no part. Continuous systems are mapped by Cayley's transform, in balls as well.
+
+References: Rump (2006), BIT 46, 433, on positive definiteness; Lanzon, Feng, Anderson and Rotkowitz
+(2008), IEEE TAC 53, 2280, on the steps as an iteration; Johansson (2017), IEEE Trans. Computers 66, 1281, on Arb.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
+from flint import arb, arb_mat, ctx
+
+from synth.generalized import GeneralizedPlant
+from synth.statespace import StateSpace, common_timebase
+
+
+class Balls(NamedTuple):
+    """A system in balls."""
+
+    A: arb_mat
+    B: arb_mat
+    C: arb_mat
+    D: arb_mat
+
+
+class Half(NamedTuple):
+    """What one side of the lower bound, control or estimation, sees of the plant: itself or its dual."""
+
+    A: arb_mat
+    B1: arb_mat
+    B2: arb_mat
+    C1: arb_mat
+    D11: arb_mat
+    D12: arb_mat
+
+
+@dataclass(frozen=True, eq=False)
+class UpperWitness:
+    """Coordinates in which one step of the closed loop contracts."""
+
+    T: np.ndarray  # (n, n) states of plant and controller, x = T U x_new: T finds the size of things,
+    U: np.ndarray  # (n, n) U, not far from I, the last digits
+    factor: np.ndarray  # (n + nw, n + nw) nearly the inverse Cholesky factor of I - M'M
+    rate: float  # rad/s of the Cayley map, 0 for discrete time
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """From one sub-solution to the next, both for the same disturbance w = F x."""
+
+    F: np.ndarray  # (nw, n)
+    X: np.ndarray  # (n, n) symmetric, the next one
+    before: np.ndarray  # (n + nu, n + nu) nearly the inverse Cholesky factor of the inequality at the previous one
+    after: np.ndarray  # (n + nu, n + nu) the same at the next one
+
+
+@dataclass(frozen=True, eq=False)
+class Coupling:
+    """A vector for which the last sub-solutions X and Y of both sides couple too strongly."""
+
+    v: np.ndarray  # (n)
+    shift: float  # d
+    factor: np.ndarray  # (n, n) nearly the inverse Cholesky factor of X + d I
+
+
+@dataclass(frozen=True, eq=False)
+class Impulse:
+    """A disturbance from rest that gains on one side."""
+
+    w: np.ndarray  # (nw), of the dual plant (nz)
+    dual: bool  # whose side
+    factor: np.ndarray  # (1 + nu, 1 + nu) nearly the inverse Cholesky factor of the gain
+
+
+@dataclass(frozen=True, eq=False)
+class LowerWitness:
+    """Two ways up to what a controller below the level would not allow."""
+
+    T: np.ndarray  # (n, n) states of the plant, x = T x_new
+    w: float  # factor on the gains from w
+    z: float  # factor on the gains to z
+    rate: float  # rad/s of the Cayley map, 0 for discrete time
+    control: tuple[Step, ...]  # of the plant
+    estimation: tuple[Step, ...]  # of the dual plant
+    end: Coupling | Impulse
+
+
+def proves_upper(P: GeneralizedPlant, K: StateSpace, witness: UpperWitness, level: float, bits: int) -> bool:
+    """True when it is proved that K stabilises P with an H-infinity norm below `level`."""
+    if not is_rate(witness.rate, P.dt):
+        return False
+    with ctx.workprec(bits):
+        try:
+            M = contraction(closed_loop(P, K, witness.rate), exact(witness.T) * exact(witness.U), level)
+        except (ZeroDivisionError, ValueError):  # a matrix that could be singular, shapes of another system
+            return False
+        return bool(arb(level) > 0) and is_positive_definite(identity(M.ncols()) - M.transpose() * M, witness.factor)
+
+
+def proves_lower(P: GeneralizedPlant, witness: LowerWitness, level: float, bits: int) -> bool:
+    """True when it is proved that no controller of any order reaches a norm below `level`."""
+    if not is_rate(witness.rate, P.dt):
+        return False
+    with ctx.workprec(bits):
+        g, end = arb(level) * arb(witness.w) * arb(witness.z), witness.end
+        if not g > 0:
+            return False
+        try:
+            control, estimation = in_coordinates(P, witness.T, witness.w, witness.z, witness.rate)
+            if isinstance(end, Impulse):
+                half, steps = (estimation, witness.estimation) if end.dual else (control, witness.control)
+                X = climb(half, steps, g)
+                return X is not None and is_positive_definite(impulse(half, X, end.w, g), end.factor)
+            X, Y = climb(control, witness.control, g), climb(estimation, witness.estimation, g)
+            return X is not None and Y is not None and couples(X, Y, end, g)
+        except (ZeroDivisionError, ValueError):
+            return False
+
+
+def climb(half: Half, steps: Sequence[Step], g: arb) -> arb_mat | None:
+    """The last sub-solution, or None where a step is not proved."""
+    X = exact(np.zeros((half.A.nrows(),) * 2))
+    for k, step in enumerate(steps):
+        new = symmetric(step.X)
+        given = k == 0 and not np.any(step.F)  # |C1 x + D12 u|^2 >= 0
+        if not given and not is_positive_definite(subsolution(half, X, step.F, g), step.before):
+            return None
+        if not is_positive_definite(subsolution(half, new, step.F, g), step.after):
+            return None
+        X = new
+    return X
+
+
+def subsolution(half: Half, X: arb_mat, F: np.ndarray, g: arb) -> arb_mat:
+    """x+'X x+ + |z|^2 - g^2 |w|^2 - x'X x with w = F x, as a matrix in (x, u)."""
+    f = exact(F)
+    AB, CD = block([[half.A + half.B1 * f, half.B2]]), block([[half.C1 + half.D11 * f, half.D12]])
+    n, m = half.A.nrows(), half.B2.ncols()
+    O = exact(np.zeros((m, n)))
+    paid = block([[X + f.transpose() * f * (g * g), O.transpose()], [O, exact(np.zeros((m, m)))]])
+    return AB.transpose() * X * AB + CD.transpose() * CD - paid
+
+
+def impulse(half: Half, X: arb_mat, w: np.ndarray, g: arb) -> arb_mat:
+    """x+'X x+ + |z|^2 - g^2 |w|^2 from x = 0, as a matrix in (the size of w, u)."""
+    f = exact(w[:, None])
+    B, D = block([[half.B1 * f, half.B2]]), block([[half.D11 * f, half.D12]])
+    paid = exact(np.diag([1.0] + [0.0] * half.B2.ncols())) * (g * g * square(f))
+    return B.transpose() * X * B + D.transpose() * D - paid
+
+
+def couples(X: arb_mat, Y: arb_mat, end: Coupling, g: arb) -> bool:
+    """True when the coupling is proved to be too strong."""
+    I, v, d = identity(X.nrows()), exact(end.v[:, None]), arb(end.shift)
+    if not (d > 0 and is_positive_definite(X + d * I, end.factor)):
+        return False
+    a, E = (X + d * I) * v, g * g * I + d * Y
+    factor = inverse_factor(E)
+    if factor is None or not is_positive_definite(E, factor):
+        return False
+    return bool((a.transpose() * Y * E.solve(a) - v.transpose() * a)[0, 0] > 0)
+
+
+def in_coordinates(P: GeneralizedPlant, T: np.ndarray, w: float, z: float, rate: float) -> tuple[Half, Half]:
+    """The plant with x = T x_new and factors on w and z, mapped to discrete time, and its dual."""
+    _, nw, nu, nz, ny = P.sizes
+    G = cayley(in_balls(P.system), rate)
+    t, ws, zs = exact(T), arb(w), arb(z)
+    A, B, C = t.inv() * G.A * t, t.inv() * G.B, G.C * t
+    first, second = range(nw), range(nw, nw + nu)
+    Z, Y = range(nz), range(nz, nz + ny)
+    B1, B2, C1, C2 = columns(B, first) * ws, columns(B, second), rows(C, Z) * zs, rows(C, Y)
+    D11, D12 = columns(rows(G.D, Z), first) * (ws * zs), columns(rows(G.D, Z), second) * zs
+    D21 = columns(rows(G.D, Y), first) * ws
+    dual = (M.transpose() for M in (A, C1, C2, B1, D11, D21))
+    return Half(A, B1, B2, C1, D11, D12), Half(*dual)
+
+
+def closed_loop(P: GeneralizedPlant, K: StateSpace, rate: float) -> Balls:
+    """P closed by u = K y, from w to z; mapped to discrete time when `rate` is not zero."""
+    common_timebase(P.system, K)
+    B1, B2, C1, C2 = (exact(M) for M in (P.B1, P.B2, P.C1, P.C2))
+    D11, D12, D21, D22 = (exact(M) for M in (P.D11, P.D12, P.D21, P.D22))
+    k = in_balls(K)
+    E = identity(K.ny) - k.D * D22
+    # u = E^-1 (Dk C2 x + Ck xk + Dk D21 w), y = C2 x + D21 w + D22 u
+    Ux, Uk, Uw = E.solve(k.D * C2), E.solve(k.C), E.solve(k.D * D21)
+    A = [[exact(P.A) + B2 * Ux, B2 * Uk], [k.B * (C2 + D22 * Ux), k.A + k.B * D22 * Uk]]
+    B = [[B1 + B2 * Uw], [k.B * (D21 + D22 * Uw)]]
+    C, D = [[C1 + D12 * Ux, D12 * Uk]], D11 + D12 * Uw
+    return cayley(Balls(block(A), block(B), block(C), D), rate)
+
+
+def cayley(G: Balls, rate: float) -> Balls:
+    """Norm-preserving map to discrete time, s = rate (z - 1)/(z + 1), rate > 0; the system itself for rate 0."""
+    if rate == 0:
+        return G
+    r = arb(rate)
+    I = identity(G.A.nrows())
+    E, root = r * I - G.A, (2 * r).sqrt()
+    return Balls(E.solve(r * I + G.A), E.solve(G.B) * root, G.C * E.inv() * root, G.D + G.C * E.solve(G.B))
+
+
+def is_rate(rate: float, dt: float) -> bool:
+    """Whether systems with this timebase may be mapped at this rate."""
+    return rate > 0 if dt == 0 else rate == 0
+
+
+def contraction(G: Balls, T: arb_mat, level: float) -> arb_mat:
+    """M of the upper bound."""
+    Ti, g = T.inv(), arb(level)
+    return block([[Ti * G.A * T, Ti * G.B * (1 / g)], [G.C * T, G.D * (1 / g)]])
+
+
+def is_positive_definite(M: arb_mat, factor: np.ndarray) -> bool:
+    """True when a symmetric M is proved positive definite by congruence with `factor`."""
+    n = M.nrows()
+    if factor.shape != (n, n):
+        return False
+    K = exact(factor)
+    E = K * M * K.transpose() - identity(n)
+    return all(bool(sum((abs(e) for e in row), arb(0)) < 1) for row in E.table())
+
+
+def inverse_factor(M: arb_mat) -> np.ndarray | None:
+    """Floating inverse Cholesky factor of a positive definite M, or None."""
+    F = rounded(M)
+    d = np.sqrt(np.maximum(np.diag(F), 0))
+    if not (np.isfinite(F).all() and d.all()):
+        return None
+    try:
+        return np.linalg.inv(np.linalg.cholesky((F + F.T) / 2 / d / d[:, None])) / d
+    except np.linalg.LinAlgError:
+        return None
+
+
+def in_balls(G: StateSpace) -> Balls:
+    """The system's doubles, exactly."""
+    return Balls(exact(G.A), exact(G.B), exact(G.C), exact(G.D))
+
+
+def exact(M: np.ndarray) -> arb_mat:
+    """A matrix of doubles, exactly."""
+    p, q = M.shape
+    return arb_mat(p, q, M.ravel().tolist())
+
+
+def rounded(M: arb_mat) -> np.ndarray:
+    """The midpoints as doubles."""
+    return np.array([float(e.mid()) for e in M.entries()]).reshape(M.nrows(), M.ncols())
+
+
+def symmetric(M: np.ndarray) -> arb_mat:
+    """The symmetric part of a matrix of doubles, exactly."""
+    return (exact(M) + exact(M.T)) * arb(0.5)
+
+
+def identity(n: int) -> arb_mat:
+    """I of size n."""
+    return exact(np.eye(n))
+
+
+def block(parts: Sequence[Sequence[arb_mat]]) -> arb_mat:
+    """A matrix from rows of blocks."""
+    lines = [list(chain(*row)) for band in parts for row in zip(*(M.table() for M in band), strict=True)]
+    return arb_mat(len(lines), sum(M.ncols() for M in parts[0]), list(chain(*lines)))
+
+
+def rows(M: arb_mat, which: Sequence[int]) -> arb_mat:
+    """Some rows of M."""
+    return arb_mat(len(which), M.ncols(), [M[i, j] for i in which for j in range(M.ncols())])
+
+
+def columns(M: arb_mat, which: Sequence[int]) -> arb_mat:
+    """Some columns of M."""
+    return arb_mat(M.nrows(), len(which), [M[i, j] for i in range(M.nrows()) for j in which])
+
+
+def square(M: arb_mat) -> arb:
+    """Sum of the squares of all entries."""
+    return sum((e * e for e in M.entries()), arb(0))
