@@ -11,30 +11,22 @@ Each measurement is repeated; the fastest of the repetitions counts. Targets, fo
 step / raw <= 4, cvxpy / step >= 50. Without soft limits DAQP needs half the time and the bookkeeping weighs more.
 """
 
+import sys
 import time
+from pathlib import Path
 
 import cvxpy as cp
 import daqp
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+from literature import cubesat_model
+
 from synth.predictive import Mpc, MpcState, mpc
-from synth.statespace import StateSpace, c2d
 
 TORQUE, MOMENTUM, RATE = 1e-3, 10.8e-3, np.radians(2)  # N m, N m s, rad/s
 REST = np.zeros(6)
 PERIODS = 200  # 100 s
-
-
-def cubesat() -> StateSpace:
-    Ix, Iy, Iz = 0.0546, 0.0546, 0.0074
-    w0 = np.sqrt(3.986004418e14 / (6378137 + 470e3) ** 3)
-    A = np.zeros((6, 6))
-    A[:3, 3:] = np.eye(3) / 2
-    A[3, 0], A[3, 5] = -8 * w0**2 * (Iy - Iz) / Ix, w0 * (Iz + Ix - Iy) / Ix
-    A[4, 1] = -6 * w0**2 * (Ix - Iz) / Iy
-    A[5, 2], A[5, 3] = -2 * w0**2 * (Iy - Ix) / Iz, -w0 * (Iz + Ix - Iy) / Iz
-    B = np.vstack([np.zeros((3, 3)), np.diag([1 / Ix, 1 / Iy, 1 / Iz])])
-    return c2d(StateSpace(A, B, np.eye(6), np.zeros((6, 3))), 0.5)
 
 
 def flight(controller: Mpc, noise: float) -> list[tuple[MpcState, np.ndarray]]:
@@ -106,7 +98,7 @@ def cvxpy_condensed(controller: Mpc, cases):
 
 
 def main():
-    model = cubesat()
+    model = cubesat_model()
     limits = {"ymin": [-np.inf] * 3 + [-RATE] * 3, "ymax": [np.inf] * 3 + [RATE] * 3, "hmax": MOMENTUM}
     table_3 = {"Q": 1000 * np.eye(6), "R": 1000 * np.eye(3), "Np": 10, "Nc": 7, "umin": -TORQUE, "umax": TORQUE}
     print(f"{PERIODS} periods, microseconds per step")
