@@ -31,7 +31,16 @@ from synth.hinfinity import discretised
 from synth.precondition import Conditioned, precondition
 from synth.statespace import StateSpace, cayley_rate
 
-DISTANCES = (2e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1)  # of the lower bound below the optimum of the Riccati equations
+DISTANCES = (
+    2e-7,
+    1e-6,
+    1e-5,
+    1e-4,
+    1e-3,
+    1e-2,
+    0.1,
+    0.3,
+)  # of the lower bound below the optimum of the Riccati equations
 STRICTNESS = (1e-8, 1e-10, 1e-12)  # state added to the closed loop's output for the upper bound, squared
 LEFT_OUT = (1e-2, 1e-4)  # cost left out for the lower bound, in parts of the distance
 CONVERGED = 1e-9  # relative change of a policy iteration; it is quadratic
@@ -131,7 +140,9 @@ def find_lower(
                 for side, half, start in zip((floating, _dual(floating)), halves, (route.X, route.Y), strict=True)
             )
             if not (control.steps and estimation.steps):
-                reason = "a zero of the plant, from u to z or from w to y, lies on the stability boundary"
+                reason = (
+                    "no strict inequality on one side, as with a zero from u to z or w to y on the stability boundary"
+                )
             found = _end(control, estimation, halves, g / c.scale)
             if found is not None:
                 witness = LowerWitness(c.T, w, z, rate, *found)
