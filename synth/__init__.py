@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from synth.antiwindup import AntiWindup as AntiWindup
+    from synth.certify import Certificate as Certificate
     from synth.controller import Controller as Controller
     from synth.controller import LinearController as LinearController
     from synth.controller import proportional_derivative as proportional_derivative
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 _HOME = {
     "AntiWindup": "antiwindup",
     "AssumptionError": "errors",
+    "Certificate": "certify",
     "Controller": "controller",
     "Design": "design",
     "Gap": "gap",
