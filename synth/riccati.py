@@ -9,11 +9,9 @@ when a test says so. A step d from X leaves the residual -d G d, which tells the
 equation is solved by squaring the closed loop, and the squares vanish for a stable loop only: a solution that was
 accepted stabilises.
 
-Inside, lanes come last: a batch of (n, n) matrices is (n, n, b), so that every operation runs along the batch, and
-matrices are eliminated row by row without pivots, as positive definite ones allow (I + G H is turned into one by a
-Cholesky factor of H). `vmap` finds its way here by a batching rule of its own.
-
-Failure is a value, `ok`. Needs JAX and float64.
+Inside, lanes come last: a batch of (n, n) matrices is (n, n, b), so that every operation runs along the batch; `vmap`
+finds its way here by a batching rule of its own. What can be is eliminated without pivots: I + G H becomes positive
+definite by a Cholesky factor of H. Failure is a value, `ok`. Needs JAX and float64.
 
 References: Chu, Fan and Lin (2005), A structure-preserving doubling algorithm for continuous-time algebraic Riccati
 equations, Linear Algebra and its Applications 396; Kleinman (1968), IEEE TAC 13, 114; Smith (1968), Matrix equation
@@ -23,7 +21,6 @@ XA + BX = C, SIAM J. Applied Math. 16.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -35,7 +32,7 @@ from synth.errors import ModelError
 
 DOUBLINGS = 40  # 2^40 samples: slower convergence than that is a mode on the stability boundary
 NEAR = 1e-3  # size of the doubled closed loop where Newton takes over; the solution is then right to its square
-LANES = 32  # of a batch that go together: their matrices fit into the first cache
+LANES = 48  # of a batch that go together: their matrices stay near the processor
 NEWTON_STEPS = 8
 WARM_STEPS = 3  # from a guess; one that needs more is no guess
 VANISHED = 1e-4  # size of the squared closed loop that counts as zero in a Newton step, right to its square
@@ -73,12 +70,12 @@ def care(A, B, Q, R=None) -> Solution:
 
     Returns
     -------
-    Solution : X (..., n, n) and ok (...); not ok where (A, B) cannot be stabilised, or a mode on the imaginary axis
-        is not seen by Q
+    Solution : X (..., n, n) and ok (...); not ok where (A, B) cannot be stabilised, or where Q does not see a mode
+        that does not decay by itself
 
     Raises
     ------
-    ModelError : shapes do not fit, or a number is not finite.
+    ModelError : shapes do not fit, a number is not finite, Q or R is no weight.
     """
     A, G, Q = _checked(A, B, Q, R)
     shift = np.broadcast_to(closed_loop_rate(A, G, Q), A.shape[:-2])
@@ -94,13 +91,8 @@ def dare(A, B, Q, R=None) -> Solution:
 
 
 def closed_loop_rate(A: np.ndarray, G: np.ndarray, Q: np.ndarray) -> np.ndarray:
-    """Geometric mean of the moduli of the closed-loop poles, (...) rad/s: the best rate of the Cayley map; NumPy.
-
-    The Hamiltonian matrix has these poles and their mirror images for eigenvalues, so its determinant has the mean.
-    """
-    H = np.concatenate(
-        [np.concatenate([A, -G], -1), np.concatenate([-Q, -np.swapaxes(A, -1, -2)], -1)], -2
-    )  # fmt: skip
+    """Geometric mean of the closed-loop poles' moduli, (...) rad/s, by the determinant of the Hamiltonian; NumPy."""
+    H = np.block([[A, -G], [-Q, -np.swapaxes(A, -1, -2)]])
     logarithm = np.linalg.slogdet(H)[1] / H.shape[-1]
     return np.exp(np.where(np.isfinite(logarithm), logarithm, 0.0))
 
@@ -111,8 +103,7 @@ def stabilising(A: Any, G: Any, Q: Any, shift: Any) -> Solution:
     Parameters
     ----------
     A, G, Q : (n, n), G and Q symmetric, positive semidefinite
-    shift : () rad/s, a typical modulus of the closed-loop poles (`closed_loop_rate`); a factor of two off costs one
-        more doubling
+    shift : () rad/s, a typical modulus of the closed-loop poles (`closed_loop_rate`); twice as much costs a doubling
     """
     return Solution(*_cold(*_floats(A, G, Q, shift)))
 
@@ -157,7 +148,7 @@ def _lanes_last(solve: Callable) -> Callable:
         out = tuple(jnp.moveaxis(a, -1, 1).reshape(blocks * lanes, *a.shape[1:-1])[:size] for a in out)
         return out, tuple(True for _ in out)
 
-    return single
+    return jax.jit(single)  # so that a call outside compiled code is compiled once
 
 
 @_lanes_last
@@ -168,13 +159,17 @@ def _cold(A, G, Q, shift):
 
 @_lanes_last
 def _warm(A, G, Q, shift, guess):
-    X, ok = _kleinman(A, G, Q, shift, guess, WARM_STEPS)
+    def going(loop):
+        turn, _, ok = loop
+        return (turn < 2) & ~jnp.all(ok)
 
-    def again():
-        fresh, sound = _kleinman(A, G, Q, shift, _doubled(*_cayley(A, G, Q, shift))[0], NEWTON_STEPS)
-        return jnp.where(ok, X, fresh), ok | sound
+    def body(loop):  # from the guess, then from the doubling; a loop, so that Newton is compiled once
+        turn, X, ok = loop
+        start = jax.lax.cond(turn == 0, lambda: X, lambda: jnp.where(ok, X, _doubled(*_cayley(A, G, Q, shift))[0]))
+        return turn + 1, *_kleinman(A, G, Q, shift, start, jnp.where(turn == 0, WARM_STEPS, NEWTON_STEPS), ok)
 
-    return jax.lax.cond(jnp.all(ok), lambda: (X, ok), again)
+    _, X, ok = jax.lax.while_loop(going, body, (0, guess, jnp.zeros(guess.shape[-1], bool)))
+    return X, ok
 
 
 @_lanes_last
@@ -195,7 +190,7 @@ def _discrete(A, G, Q):
     return _newton(step, _doubled(A, G, Q)[0], NEWTON_STEPS)
 
 
-def _kleinman(A, G, Q, shift, X, steps):
+def _kleinman(A, G, Q, shift, X, steps, ok=None):
     """Newton's method on the continuous equation from X: (X, ok)."""
 
     def step(X):
@@ -206,10 +201,10 @@ def _kleinman(A, G, Q, shift, X, steps):
         left = _mul(d, barrier(_mul(G, d)))
         return d, _size(left) / (_size(R) + TINY), stable
 
-    return _newton(step, X, steps)
+    return _newton(step, X, steps, ok)
 
 
-def _newton(step, X, limit):
+def _newton(step, X, limit, ok=None):
     """X after as many steps as it needs: step(X) -> (d, residual left over residual before, closed loop stable)."""
 
     def going(loop):
@@ -223,8 +218,8 @@ def _newton(step, X, limit):
         error = left * _size(d) / (_size(X) + TINY)
         return k + 1, X, ok | (stable & (error <= ACCURACY)), jnp.isfinite(_size(X))
 
-    no = jnp.zeros(X.shape[-1], bool)
-    _, X, ok, _ = jax.lax.while_loop(going, body, (0, X, no, ~no))
+    alive = jnp.ones(X.shape[-1], bool)
+    _, X, ok, _ = jax.lax.while_loop(going, body, (0, X, ~alive if ok is None else ok, alive))
     return X, ok
 
 
@@ -316,8 +311,8 @@ def _eliminated(W, least):
     n, rows = len(W), []
     for k in range(n):
         row = barrier(W[0] / jnp.sqrt(jnp.maximum(W[0, 0], least[k]) + TINY))
-        rows.append(jnp.concatenate([jnp.zeros((k, *row.shape[1:])), row]))
-        W = barrier((W[1:] - row[1 : n - k, None] * row)[:, 1:])
+        rows.append(jnp.pad(row, ((k, 0), (0, 0))))
+        W = barrier(W[1:, 1:] - row[1 : n - k, None] * row[1:])
     return barrier(jnp.stack(rows))
 
 
@@ -378,9 +373,16 @@ def _checked(A, B, Q, R):
     for name, want in {"A": (n, n), "Q": (n, n), "R": (m, m)}.items():
         if name in arrays and arrays[name].shape[-2:] != want:
             raise ModelError(f"{name} has shape {arrays[name].shape}; B of {n} x {m} needs {want[0]} x {want[1]}")
+    for name in ("Q", "R")[: len(arrays) - 2]:
+        M = arrays[name]
+        size, least = np.abs(M).max(initial=0.0), np.linalg.eigvalsh(M).min(initial=np.inf)
+        skew = np.abs(M - np.swapaxes(M, -1, -2)).max(initial=0.0)
+        if skew > 1e-12 * size or least < -1e-12 * size * n or (name == "R" and least <= 0):
+            kind = "definite" if name == "R" else "semidefinite"
+            raise ModelError(f"{name} is not symmetric positive {kind}: eigenvalue {least:.6g}, asymmetry {skew:.6g}")
     A, B, Q = arrays["A"], arrays["B"], arrays["Q"]
     Bt = np.swapaxes(B, -1, -2)
-    G = B @ (Bt if R is None else np.linalg.solve(arrays["R"], np.broadcast_to(Bt, (*B.shape[:-2], m, n))))
+    G = B @ (Bt if R is None else np.linalg.solve(arrays["R"], Bt))
     lead = np.broadcast_shapes(*(M.shape[:-2] for M in (A, G, Q)))
     return tuple(np.broadcast_to(M, (*lead, n, n)) for M in (A, G, Q))
 
@@ -389,11 +391,10 @@ def _flat(solve, A, *operands) -> Solution:
     """`solve` for all leading axes at once, under float64, as NumPy arrays."""
     lead, n = A.shape[:-2], A.shape[-1]
     flat = [np.reshape(a, (-1, *a.shape[len(lead) :])) for a in (A, *operands)]
+    count, out = len(flat[0]), []
     with jax.enable_x64(True):
-        X, ok = _many(solve, *flat)
-    return Solution(np.asarray(X).reshape(*lead, n, n), np.asarray(ok).reshape(lead))
-
-
-@partial(jax.jit, static_argnums=0)
-def _many(solve, *operands):
-    return jax.vmap(solve)(*operands)
+        for first in range(0, count, LANES):  # full batches, the last one filled up: one compilation serves all
+            batch = [a[np.minimum(np.arange(first, first + LANES), count - 1)] for a in flat]
+            out.append(jax.tree.map(np.asarray, jax.vmap(solve)(*batch)))
+    X, ok = (np.concatenate(parts)[:count] for parts in zip(*out, strict=True)) if out else (A, np.ones(lead, bool))
+    return Solution(X.reshape(*lead, n, n), ok.reshape(lead))

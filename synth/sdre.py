@@ -245,6 +245,7 @@ class SdreHinfPaperLiteral:
         return _hold(state, x, *published_gain(A, B, self.shift))
 
 
+@jax.jit
 def robust_gain(
     A: Array, B: Array, Q: Any, R_inverse: Any, shift: Any, gamma_factor: Any
 ) -> tuple[Array, Array, Array]:
@@ -258,6 +259,7 @@ def robust_gain(
     return K, Z, ok & jnp.isfinite(K).all()
 
 
+@jax.jit
 def published_gain(A: Array, B: Array, shift: Any) -> tuple[Array, Array]:
     """The gain of `SdreHinfPaperLiteral` and whether it exists; traceable."""
     I = jnp.eye(len(A))
