@@ -122,6 +122,7 @@ def test_result_does_not_depend_on_the_batch():
         np.testing.assert_array_equal(riccati.care(A[part], B[part], Q[part]).X, whole[part])
 
 
+@pytest.mark.slow
 def test_batches_of_batches_and_shared_operands():
     A, B, Q = random_pairs(6, seed=7)
     G, rate = B @ B.mT, rate_of(A, B, Q)
