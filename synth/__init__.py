@@ -35,6 +35,20 @@ if TYPE_CHECKING:
     from synth.norms import verify as verify
     from synth.predictive import Mpc as Mpc
     from synth.predictive import mpc as mpc
+    from synth.quaternion import quaternion_lqr as quaternion_lqr
+    from synth.quaternion import quaternion_pd as quaternion_pd
+    from synth.quaternion import quaternion_pid as quaternion_pid
+    from synth.regulator import dlqr as dlqr
+    from synth.regulator import lqg as lqg
+    from synth.regulator import lqr as lqr
+    from synth.riccati import care as care
+    from synth.riccati import dare as dare
+    from synth.sdc import MrpModel as MrpModel
+    from synth.sdc import QuaternionModel as QuaternionModel
+    from synth.sdre import Sdre as Sdre
+    from synth.sdre import SdreHinf as SdreHinf
+    from synth.sdre import SdreHinfPaperLiteral as SdreHinfPaperLiteral
+    from synth.sdre import SdreHinfStatic as SdreHinfStatic
     from synth.statespace import StateSpace as StateSpace
     from synth.statespace import c2d as c2d
     from synth.statespace import feedback as feedback
@@ -54,22 +68,36 @@ _HOME = {
     "LinearController": "controller",
     "ModelError": "errors",
     "Mpc": "predictive",
+    "MrpModel": "sdc",
     "NumericalError": "errors",
+    "QuaternionModel": "sdc",
+    "Sdre": "sdre",
+    "SdreHinf": "sdre",
+    "SdreHinfPaperLiteral": "sdre",
+    "SdreHinfStatic": "sdre",
     "Shaping": "design",
     "StateSpace": "statespace",
     "SynthError": "errors",
     "VerificationError": "errors",
     "c2d": "statespace",
+    "care": "riccati",
+    "dare": "riccati",
+    "dlqr": "regulator",
     "feedback": "statespace",
     "gapmetric": "gap",
     "h2norm": "norms",
     "hinfnorm": "norms",
     "hinfsyn": "hinfinity",
     "lft": "statespace",
+    "lqg": "regulator",
+    "lqr": "regulator",
     "mpc": "predictive",
     "ncfmargin": "loopshaping",
     "ncfsyn": "loopshaping",
     "proportional_derivative": "controller",
+    "quaternion_lqr": "quaternion",
+    "quaternion_pd": "quaternion",
+    "quaternion_pid": "quaternion",
     "series": "statespace",
     "state_feedback": "controller",
     "verify": "norms",
