@@ -264,7 +264,7 @@ def outcome(run: Run) -> Outcome:
     if not run.ok:
         return Outcome(*(np.inf,) * len(Outcome._fields))
     angle, rate = angles(run), np.linalg.norm(run.outputs[:, 4:7], axis=1)
-    late = run.time >= (1 - TAIL) * run.duration
+    late = run.time >= min((1 - TAIL) * run.duration, run.time[-1])
     return Outcome(
         settling_time=settling_time(run.time, np.maximum(angle / SETTLED_ANGLE, rate / SETTLED_RATE), 1.0),
         angle=angle[late].max(),

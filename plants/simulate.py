@@ -148,8 +148,8 @@ def can_compile(loop: Loop, scenario: Scenario) -> bool:
     """
     try:
         blocks.register(loop.controller)
-        y = jnp.zeros(output_shape(loop, scenario).shape)
-        jax.eval_shape(lambda c: c.step(c.init(), y, y), loop.controller)
+        with jax.enable_x64(True):
+            jax.eval_shape(lambda c, y: c.step(c.init(), y, y), loop.controller, output_shape(loop, scenario))
     except Exception:
         return False
     return True
@@ -204,7 +204,7 @@ def rk4(plant: Plant, x: Any, u: Any, envs: Sequence[Any], h: Any) -> Any:
 
 
 def fly(loop: Loop, scn: Scenario, record: Record | None) -> Any:
-    """The whole run as one traceable function: last `Flight` and controller state, rows of (kept, samples, ...)."""
+    """The whole run, traceable: the last `Flight`, the controller's last state, rows of (kept, samples, ...)."""
     controller, r0 = loop.controller, reference_at(loop, scn, 0)
     shapes = jax.eval_shape(lambda: controller.step(controller.init(), r0, r0))
     memory = jax.tree.map(lambda a, s: jnp.asarray(a, s.dtype), controller.init(), shapes[0])
@@ -220,8 +220,8 @@ def fly(loop: Loop, scn: Scenario, record: Record | None) -> Any:
         carry, rows = jax.lax.scan(period, carry, ks)
         return carry, jax.tree.map(lambda a: a[0, : scn.rows], rows)
 
-    start = (launch(loop, scn, shapes[1].shape), memory)
-    (w, memory), rows = jax.lax.scan(group, start, jnp.arange(scn.periods).reshape(-1, scn.keep_every))
+    w, ks = launch(loop, scn, shapes[1].shape), jnp.arange(scn.periods).reshape(-1, scn.keep_every)
+    (w, memory), rows = jax.lax.scan(group, (w, memory), ks)
     return w, memory, rows
 
 

@@ -265,6 +265,26 @@ def test_a_controller_that_cannot_be_traced_is_stepped():
     np.testing.assert_allclose(run.outputs, same.outputs, atol=ROUNDING)
 
 
+def test_a_controller_that_insists_on_double_precision_is_compiled():
+    @dataclass(frozen=True)
+    class Strict:
+        gain: float = 5.0
+        dt: float = 0.05
+
+        def init(self):
+            return ()
+
+        def step(self, s, y, r):
+            if jnp.asarray(y, float).dtype != jnp.float64:
+                raise TypeError("float32")
+            return s, self.gain * (r - y)[:1]
+
+    loop = Loop(plant=Pendulum(), controller=Strict())
+    with jax.enable_x64(False):  # as the user's configuration is
+        assert simulate.can_compile(loop, scenario())
+        assert simulate.simulate(loop, scenario()).compiled
+
+
 def test_nan_ends_one_lane_and_leaves_the_neighbour_alone():
     loop = Loop(plant=Pendulum(), controller=NotANumber(limit=10.0))
     sound = simulate.simulate(loop, scenario())
