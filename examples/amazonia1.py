@@ -80,7 +80,7 @@ def controllers() -> dict[str, Any]:
         MRP: Sdre.create(MrpModel.create(inertia), dt),
         LITERAL: SdreHinfPaperLiteral.create(gibbs, dt),
         STATIC: SdreHinfStatic.create(gibbs, dt),
-        DYNAMIC: SdreHinf.create(gibbs, dt, torque_limit=amazonia1.WHEEL_TORQUE),
+        DYNAMIC: SdreHinf.create(gibbs, dt),
         LQR: quaternion_lqr(inertia, dt),
         PD: quaternion_pd(inertia, FREQUENCY, DAMPING, dt),
         PID: quaternion_pid(inertia, FREQUENCY, DAMPING, dt, integral_time=INTEGRAL_TIME),
