@@ -180,7 +180,7 @@ def drawings(study: Study) -> list[tuple[Figure, str]]:
     for name, flown in study.campaigns.items():
         o, i, feasible = study.outcome(name), flown.index, study.feasible(name)
         groups = {
-            "not converged": ~o.slow, "within the wheels' momentum": feasible,
+            "beyond the wheels": ~o.slow & ~feasible, "not converged": ~o.slow & feasible,
             "rate only": o.slow & ~o.converged, "attitude and rate": o.converged,
         }  # fmt: skip
         torque[name] = (1e3 * o.asked, 1e3 * o.given, {"run": np.ones(len(i), bool)})

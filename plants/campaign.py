@@ -129,8 +129,9 @@ def campaign(
     if compiled is None:
         compiled = simulate.can_compile(*sampled[0])
     if batch is None:
-        rows = simulate.row_bytes(*sampled[0], record)
-        batch = int(np.clip(memory // (2 * workers * rows), 1, min(LANES, -(-runs // workers))))
+        widest = int(np.clip(memory // (2 * workers * simulate.row_bytes(*sampled[0], record)), 1, LANES))
+        turns = -(-runs // (widest * workers))  # of all workers, with batches of even width
+        batch = -(-runs // (turns * workers))
     varied = _varied(sampled, compiled)
     if not varied and blocks.differing([_at(dispersed, index) for index in range(len(sampled))]):
         raise ScenarioError("dispersed: no number of loop or scenario varies with it; use d in case(d, shared)")
