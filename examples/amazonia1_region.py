@@ -126,6 +126,8 @@ def statements(study: Study) -> list[tuple[str, str, Callable[[], tuple[str, str
         for name in PAPER:
             o, index = study.outcome(name), study.campaigns[name].index
             size = np.linalg.norm(study.drawn.angles[index], axis=1)
+            if len(size) < 40:
+                return "not measured", f"{len(size)} runs are too few for quarters"
             quarter = np.digitize(size, np.quantile(size, [0.25, 0.5, 0.75]))
             hits = [o.converged[quarter == k] for k in range(4)]
             texts.append(f"{name} " + ", ".join(f"{h.sum()}/{h.size}" for h in hits))
