@@ -14,6 +14,7 @@ import resource
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -68,8 +69,8 @@ def memory(runs: int) -> dict[str, float]:
 
 def apart(work: Callable[..., dict[str, float]], *arguments: Any) -> dict[str, float]:
     """The result of a function that runs in a fresh process."""
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        return pool.apply(work, arguments)
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(work, *arguments).result()
 
 
 def main() -> None:
@@ -79,7 +80,7 @@ def main() -> None:
     options = parser.parse_args()
 
     def show(title: str, found: dict[str, float]) -> None:
-        print(f"{title:46}" + "  ".join(f"{key} {value:.4g}" for key, value in found.items()), flush=True)
+        print(f"{title:48}" + "  ".join(f"{key} {value:.4g}" for key, value in found.items()), flush=True)
 
     for name, workers in ((study.SDRE, 1), (study.SDRE, 2), (study.LITERAL, 2)):
         show(f"{name}, {options.runs} runs, {workers} threads", apart(monte_carlo, name, options.runs, workers))
