@@ -6,14 +6,10 @@ simulator, compared with the mission requirements, and written to files together
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import functools
-import platform
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,19 +24,20 @@ from cubesat3u_claims import (
     PD,
     SVD_HINF,
     SVD_MPC,
-    claims,
     findings,
     passes,
+    statements,
     worst,
 )  # fmt: skip
 from cubesat3u_figures import drawings, indices_figure
 from tqdm import tqdm
 
 import synth
-from plants import attitude, campaign, cubesat3u, indices, report, simulate
+from plants import attitude, campaign, cubesat3u, indices, report, simulate, study
 from plants.cubesat3u import DEG, REQUIREMENTS
 from plants.indices import Indices
 from plants.loop import Loop, Run, Scenario
+from plants.study import Table
 from synth.export.qp import save_mpc
 
 
@@ -62,8 +59,8 @@ class Shared(NamedTuple):
 
 
 @dataclass
-class Study:
-    """What has been measured so far; complete unless interrupted."""
+class Study(study.Study):
+    """What has been measured so far."""
 
     design: synth.Design
     controllers: Mapping[str, Any]
@@ -73,8 +70,6 @@ class Study:
     turned: dict[str, campaign.Campaign] = field(default_factory=dict)  # on random orbit planes
     quiet: dict[str, Indices] = field(default_factory=dict)  # with vector sensors of half the noise
     eclipse: dict[str, Run] = field(default_factory=dict)  # one orbit with its eclipse
-    complete: bool = False
-    seconds: float = 0.0
 
 
 def design_controllers() -> tuple[synth.Design, dict[str, Any]]:
@@ -163,157 +158,128 @@ def on_plane(drawn: tuple[Start, Any], shared: Shared) -> tuple[Loop, Scenario]:
     return case(start, shared._replace(environment=surroundings))
 
 
-def fly(study: Study, runs: int, seed: int, duration: float) -> None:
+def fly(found: Study, runs: int, seed: int, duration: float) -> None:
     """Table 3 and the Monte Carlo of table 5 with every configuration, then random orbit planes and an eclipse."""
     surroundings = cubesat3u.environment(duration)
     drawn = starts(runs, seed)
     periods = round(duration / cubesat3u.CONTROL_PERIOD)
-    measure = functools.partial(indices.indices, start=study.window, delta_t=REQUIREMENTS.pse_interval)
+    measure = functools.partial(indices.indices, start=found.window, delta_t=REQUIREMENTS.pse_interval)
     navigators = {"EKF": cubesat3u.ekf(), "SVD": cubesat3u.svd(), "EKF direct": cubesat3u.ekf(direct=True)}
     order, turned = (HINF, SVD_HINF, PD, *MPC, *SVD_MPC), (HINF, SVD_HINF)
     orbits = 5.64 * duration  # s, the period of the orbit for full runs: 38 minutes of eclipse
     with tqdm(total=len(order) + len(turned) + 4, desc="configurations", delay=2.0) as bar:
         for name in order:
             navigator, controller = name.split(" + ")
-            shared = Shared(surroundings, study.controllers[controller], navigators[navigator], periods)
+            shared = Shared(surroundings, found.controllers[controller], navigators[navigator], periods)
             keep = range(runs + 1) if name == HINF else [0]
             flown = campaign.campaign(
                 case, drawn, shared, measure=measure, read=applied, seed=seed, keep=keep, progress=False
             )
-            study.campaigns[name] = flown
+            found.campaigns[name] = flown
             if not flown.complete:
                 raise KeyboardInterrupt
-            study.nominal[name] = indices.indices(flown.kept[0], start=study.window)
+            found.nominal[name] = indices.indices(flown.kept[0], start=found.window)
             bar.update()
         planes = np.array([cubesat3u.disperse(seed, index).raan for index in range(runs + 1)])
         batch = cubesat3u.environment(duration, raan=planes, argument_of_latitude=cubesat3u.noon(planes, duration))
         for name in turned:
             navigator, controller = name.split(" + ")
-            shared = Shared(None, study.controllers[controller], navigators[navigator], periods)
+            shared = Shared(None, found.controllers[controller], navigators[navigator], periods)
             flown = campaign.campaign(on_plane, (drawn, batch), shared, measure=measure, seed=seed, progress=False)
-            study.turned[name] = flown
+            found.turned[name] = flown
             if not flown.complete:
                 raise KeyboardInterrupt
             bar.update()
         start = Start(cubesat3u.INERTIA, cubesat3u.ANGLES, cubesat3u.RATES)
         for name in (SVD_HINF, *MPC):
             navigator, controller = name.split(" + ")
-            shared = Shared(surroundings, study.controllers[controller], navigators[navigator], periods)
-            study.quiet[name] = measure(simulate.simulate_many([quiet(*case(start, shared))], progress=False)[0])
+            shared = Shared(surroundings, found.controllers[controller], navigators[navigator], periods)
+            found.quiet[name] = measure(simulate.simulate_many([quiet(*case(start, shared))], progress=False)[0])
         bar.update(2)
         night = cubesat3u.environment(orbits)
         for name in (HINF, DIRECT):
             navigator, controller = name.split(" + ")
-            shared = Shared(night, study.controllers[controller], navigators[navigator], round(orbits / 0.5))
-            study.eclipse[name] = simulate.simulate_many([case(start, shared)], progress=False)[0]
+            shared = Shared(night, found.controllers[controller], navigators[navigator], round(orbits / 0.5))
+            found.eclipse[name] = simulate.simulate_many([case(start, shared)], progress=False)[0]
             bar.update()
-    study.complete = True
 
 
-def requirement_rows(study: Study) -> tuple[list[list[str]], list[list[str]]]:
-    """The table of requirements of table 3's run: texts and marks."""
+def requirements(found: Study) -> Table:
+    """Table 3's run against table 1."""
     rows = [["requirement (table 1)", *(f"{BOUNDS[name]:.2f}" for name in INDICES), "", ""]]
     marks = [[""] * 7]
-    for name, i in study.nominal.items():
+    for name, i in found.nominal.items():
         met = passes(i)
         settles = f"{float(i.settling_time):.0f}" if np.isfinite(i.settling_time) else "never"
-        figures_ = [f"{worst(i, key):.4f}" for key in INDICES.values()]
-        rows.append([name, *figures_, settles, f"{1e3 * i.effort.sum():.1f}"])
+        levels = [f"{worst(i, key):.4f}" for key in INDICES.values()]
+        rows.append([name, *levels, settles, f"{1e3 * i.effort.sum():.1f}"])
         marks.append(["", *("pass" if met[index] else "fail" for index in INDICES), "", ""])
-    return rows, marks
+    headers = ("worst axis, 95 %, deg", *INDICES, "settles to 1 deg, s", "effort, mN m s")
+    note = f"window from {found.window:g} s, PSE over {REQUIREMENTS.pse_interval:g} s"
+    return Table("Requirements", headers, rows, marks, note)
 
 
-def campaign_rows(study: Study) -> list[list[str]]:
+def monte_carlo(found: Study) -> Table:
     """How many runs of the Monte Carlo meet each requirement."""
     rows = []
-    for kind, group in (("", study.campaigns), (", random sunlit orbit planes", study.turned)):
+    for kind, group in (("", found.campaigns), (", random sunlit orbit planes", found.turned)):
         for name, flown in group.items():
             drawn = flown.index > 0 if not kind else flown.index >= 0
             met = {index: m[drawn] for index, m in passes(flown.results).items()} if flown.results is not None else {}
             rows.append([name + kind, *(f"{m.sum()}/{m.size}" for m in met.values())])
-    return rows
+    return Table("Runs that meet each requirement", ("Monte Carlo", *INDICES), rows)
 
 
-HEADERS = ("worst axis, 95 %, deg", *INDICES, "settles to 1 deg, s", "effort, mN m s")
-
-
-def write(study: Study, judged: list[report.Claim], out: Path, settings: str) -> Path:
-    """Report and controller files into `out`."""
+def save(found: Study, out: Path) -> report.Section:
+    """The controllers' files in `out`, and their place on the page."""
     out.mkdir(parents=True, exist_ok=True)
     files = []
     for ending in ("json", "mat"):
-        study.design.save(out / f"hinf.{ending}")
+        found.design.save(out / f"hinf.{ending}")
         files.append((f"hinf.{ending}", "the verified H-infinity controller with its plant"))
         for form in ("velocity", "position"):
-            save_mpc(study.controllers[f"MPC {form}"], out / f"mpc_{form}.{ending}")
+            save_mpc(found.controllers[f"MPC {form}"], out / f"mpc_{form}.{ending}")
             files.append((f"mpc_{form}.{ending}", f"the quadratic program of the MPC, {form} form"))
-    rows, marks = requirement_rows(study)
-    angle = cubesat3u.environment(study.nominal[HINF].end).sun_field_angle() / DEG if study.nominal else np.zeros(1)
-    card = report.paragraph(repr(study.design)) + report.paragraph(
-        f"Angle between Sun and field during the run: {angle.min():.0f} to {angle.max():.0f} deg. It sets the level "
+    if HINF in found.nominal:
+        indices_figure(found).savefig(out / "indices.png", dpi=120, facecolor="white")
+    return report.Section("Controller", report.paragraph(repr(found.design)) + report.links(files))
+
+
+def sun_and_field(found: Study) -> list[str]:
+    """What the level of the attitude knowledge depends on."""
+    if not found.nominal:
+        return []
+    angle = cubesat3u.environment(found.nominal[HINF].end).sun_field_angle() / DEG
+    return [
+        f"The angle between Sun and field, {angle.min():.0f} to {angle.max():.0f} deg during the run, sets the level "
         "of the attitude knowledge."
-    )
-    sections = [
-        report.Section("Requirements", report.table(HEADERS, rows, marks=marks)),
-        report.Section("The paper's claims, measured", report.claims_table(judged)),
-        report.Section("What the paper does not say", "".join(map(report.paragraph, findings(study)))),
-        report.Section(
-            "Runs that meet each requirement", report.table(("Monte Carlo", *INDICES), campaign_rows(study))
-        ),
-        report.Section("Controller", card + report.links(files)),
     ]
-    if HINF in study.nominal:
-        sections += drawings(study)
-        indices_figure(study).savefig(out / "indices.png", dpi=120, facecolor="white")
-    versions = ", ".join(
-        f"{n} {metadata.version(n)}" for n in ("convex-synth", "cvxpy", "clarabel", "daqp", "jax", "numpy")
-    )
-    state = "complete" if study.complete else "INTERRUPTED: what was flown until then"
-    path = out / "report.html"
-    page = report.page(
-        "CubeSat nadir pointing",
-        "H-infinity, MPC and PD in one nonlinear simulator; after Pecorilla and Stesina (2024), doi 10.1002/rnc.7119",
-        sections,
-        [f"{settings}; {state}; {study.seconds:.0f} s", f"Python {platform.python_version()}, {versions}",
-         f"plant {study.design.plant.system.digest()[:16]}, {study.design.info.date}"],
-    )  # fmt: skip
-    path.write_text(page, encoding="utf-8")
-    return path
 
 
 def main(arguments: list[str] | None = None) -> int:
     """The command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--fast", action="store_true", help="200 s flights and 3 dispersed runs: a quick look")
-    parser.add_argument("--runs", type=int, default=30, help="dispersed runs of table 5 (default 30)")
-    parser.add_argument("--seed", type=int, default=0, help="of dispersions and noise (default 0)")
-    parser.add_argument("--out", type=Path, default=Path("out/cubesat3u"), help="folder for report and controllers")
-    options = parser.parse_args(arguments)
-    if options.runs < 1:
-        parser.error(f"--runs {options.runs}: at least one run is needed")
-    if options.seed < 0:
-        parser.error(f"--seed {options.seed}: give a whole number of at least 0")
+    fast, what = "200 s flights and 3 dispersed runs", "dispersed runs of table 5"
+    parser = study.parser(__doc__, out="out/cubesat3u", fast=fast, runs=30, what=what)
+    options = study.parse(parser, arguments)
     runs, duration, window = (min(options.runs, 3), 200.0, 100.0) if options.fast else (options.runs, 1000.0, 300.0)
-    started = time.perf_counter()
     design, controllers = design_controllers()
     print(f"{design}\n", flush=True)
-    study = Study(design, controllers, window)
-    try:
-        fly(study, runs, options.seed, duration)
-    except KeyboardInterrupt:
-        print("interrupted: the report holds what was flown")
-    study.seconds = time.perf_counter() - started
-    print(report.text_table(HEADERS, requirement_rows(study)[0]))
-    print(f"(window {window:g} to {duration:g} s, PSE over {REQUIREMENTS.pse_interval:g} s)\n")
-    print(report.text_table(("runs that meet it", *INDICES), campaign_rows(study)), end="\n\n")
-    judged = claims(study)
-    for claim in judged:
-        print(f"{claim.text}\n  {claim.verdict}: {claim.measured}")
-    print("\n".join(["", *findings(study)]))
-    settings = f"{runs} dispersed runs, seed {options.seed}, {duration:g} s flights, window from {window:g} s"
-    path = write(study, judged, options.out, settings)
-    print(f"\nsynthesis {design.info.seconds:.2f} s, in all {time.perf_counter() - started:.0f} s; report: {path}")
-    return 0 if study.complete else 130
+    found = Study(design, controllers, window)
+    study.carry_out(found, lambda: fly(found, runs, options.seed, duration))
+    return study.conclude(
+        found,
+        options.out,
+        title="CubeSat nadir pointing",
+        subtitle="H-infinity, MPC and PD in one nonlinear simulator; after Pecorilla and Stesina (2024), "
+        "doi 10.1002/rnc.7119",
+        tables=[requirements(found), monte_carlo(found)],
+        statements=statements(found),
+        findings=[*findings(found), *sun_and_field(found)],
+        sections=[save(found, options.out), *(drawings(found) if HINF in found.nominal else [])],
+        settings=f"{runs} dispersed runs, seed {options.seed}, {duration:g} s flights, window from {window:g} s",
+        packages=("cvxpy", "clarabel", "daqp"),
+        notes=[f"plant {design.plant.system.digest()[:16]}, {design.info.date}"],
+    )
 
 
 if __name__ == "__main__":

@@ -8,21 +8,21 @@ import numpy as np
 from cubesat3u_claims import AXES, BOUNDS, HINF, INDICES, PAPER, worst
 from matplotlib.figure import Figure
 
-from plants import cubesat3u, figures, indices, report
+from plants import cubesat3u, figures, indices, report, study
 from plants.cubesat3u import DEG, REQUIREMENTS
 from plants.loop import Run
 
 
-def indices_figure(study: Any) -> Figure:
+def indices_figure(found: Any) -> Figure:
     """Every run's indices, worst axis, against the requirements, for all configurations flown."""
-    done = {n: c for n, c in study.campaigns.items() if c.results is not None}
+    done = {n: c for n, c in found.campaigns.items() if c.results is not None}
     values = {index: np.array([worst(c.results, key) for c in done.values()]) for index, key in INDICES.items()}
     return figures.levels(list(done), values, BOUNDS, "deg")
 
 
-def drawings(study: Any) -> list[report.Section]:
+def drawings(found: Any) -> list[report.Section]:
     """Counterparts of the paper's figures 7 to 16."""
-    runs: dict[str, Run] = {n: study.campaigns[n].kept[0] for n in PAPER if n in study.nominal}
+    runs: dict[str, Run] = {n: found.campaigns[n].kept[0] for n in PAPER if n in found.nominal}
     j, period = cubesat3u.WHEEL_INERTIA[0], cubesat3u.CONTROL_PERIOD / cubesat3u.SAMPLES
     early = 100.0
     shown = [
@@ -37,7 +37,7 @@ def drawings(study: Any) -> list[report.Section]:
          "Reaction wheels: acceleration by the motor, and speed (figure 9)."),
     ]  # fmt: skip
     for number, (index, key) in enumerate((("AKE", "ake"), ("APE", "ape"), ("control error", "control_error")), 10):
-        series = {n: (r.time[r.time >= study.window], getattr(indices.errors(r), key)[r.time >= study.window] / DEG)
+        series = {n: (r.time[r.time >= found.window], getattr(indices.errors(r), key)[r.time >= found.window] / DEG)
                   for n, r in runs.items()}  # fmt: skip
         shown.append((
             figures.against_bound(series, AXES, BOUNDS[index], "deg"),
@@ -46,27 +46,24 @@ def drawings(study: Any) -> list[report.Section]:
     lag = round(REQUIREMENTS.pse_interval / period)
     series = {}
     for n, r in runs.items():
-        late = r.time[lag:] >= study.window
+        late = r.time[lag:] >= found.window
         series[n] = (r.time[lag:][late], indices.stability(indices.errors(r).ape, lag)[late] / DEG)
     shown.append((
         figures.against_bound(series, AXES, BOUNDS["PSE"], "deg"),
         f"PSE over {REQUIREMENTS.pse_interval:g} s with its requirement (figure 13).",
     ))  # fmt: skip
-    single = report.Section("Table 3: one run", "".join(
-        report.figure(fig, text, salt=f"single{k}") for k, (fig, text) in enumerate(shown)))  # fmt: skip
-    many = [r for index, r in study.campaigns[HINF].kept.items() if index > 0]
+    many = [r for index, r in found.campaigns[HINF].kept.items() if index > 0]
     spreads = [
         (figures.spread([(r.time, r.outputs[:, :3]) for r in many], ("q1", "q2", "q3"), until=early),
          f"Quaternion, {HINF}, all runs of table 5, the filter started from zeros (figure 14)."),
         (figures.spread([(r.time, r.outputs[:, 3:] / DEG) for r in many], tuple(f"w{a}, deg/s" for a in "xyz"),
                         until=early), f"Rate relative to the orbital frame, {HINF}, all runs (figure 15)."),
-        (indices_figure(study), "Indices of every run, worst axis, and the requirements (figure 16, all loops)."),
+        (indices_figure(found), "Indices of every run, worst axis, and the requirements (figure 16, all loops)."),
     ]  # fmt: skip
-    if study.eclipse:
-        angles = {n: (r.time, indices.errors(r).angle[:, None] / DEG) for n, r in study.eclipse.items()}
+    if found.eclipse:
+        angles = {n: (r.time, indices.errors(r).angle[:, None] / DEG) for n, r in found.eclipse.items()}
         spreads.append((
             figures.histories(angles, ("pointing error, deg",)),
             "One orbit from the start of table 3, with its eclipse: vector solution against the vectors themselves.",
         ))  # fmt: skip
-    return [single, report.Section("Table 5: Monte Carlo", "".join(
-        report.figure(fig, text, salt=f"many{k}") for k, (fig, text) in enumerate(spreads)))]  # fmt: skip
+    return [study.drawings("Table 3: one run", shown), study.drawings("Table 5: Monte Carlo", spreads)]

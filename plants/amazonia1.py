@@ -168,6 +168,7 @@ def manoeuvre(
     controller: Controller,
     *,
     duration: float = DURATION,
+    period: float = PERIOD,
     keep_every: int = 1,
 ) -> tuple[Loop, Scenario]:
     """Bring the satellite from `start` to rest at the desired attitude, wheels at rest at first.
@@ -177,6 +178,8 @@ def manoeuvre(
     start : one, not many
     controller : y is `Satellite.output`, its command the torque on the body (3,) N m
     duration : () s, a whole number of control periods
+    period : () s, of control and integration, the controller's `dt`; a wheel passes its speed limit by what the motor
+        adds in one of them, 0.03 % of its momentum at the paper's period
     keep_every : as in `Scenario`
 
     Raises
@@ -184,16 +187,18 @@ def manoeuvre(
     ScenarioError
         Unusable numbers; the message names them.
     """
-    periods = round(duration / PERIOD)
-    if periods < 1 or not np.isclose(periods * PERIOD, duration, rtol=1e-9, atol=0):
-        raise ScenarioError(f"duration = {duration} s: give a whole number of periods of {PERIOD} s, at least one")
+    if not real("period", period) > 0:
+        raise ScenarioError(f"period = {period} s: give a positive number")
+    periods = round(duration / period)
+    if periods < 1 or not np.isclose(periods * period, duration, rtol=1e-9, atol=0):
+        raise ScenarioError(f"duration = {duration} s: give a whole number of periods of {period} s, at least one")
     q, w = real("q", start.q, (4,)), real("rates", start.rates, (3,))
     if not np.isclose(np.linalg.norm(q), 1, rtol=0, atol=1e-9):
         raise ScenarioError(f"q = {q.tolist()} has length {np.linalg.norm(q)}: give a unit quaternion")
     loop = Loop(plant=satellite(start.moments, torque=start.torque), controller=controller, actuator=wheels())
     return loop, Scenario(
         initial=BodyState(q=q, w=w, wheels=np.zeros(3)),
-        dt=PERIOD,
+        dt=period,
         periods=periods,
         environment=FreeSpace(),
         keep_every=keep_every,

@@ -121,7 +121,7 @@ def campaign(
     ScenarioError
         No runs, unusable numbers (the message names the run), dispersions that did not reach the loop.
     """
-    runs = _count(dispersed)
+    runs = count(dispersed)
     for name, value in (("batch", 1 if batch is None else batch), ("workers", workers), ("memory", memory)):
         if not isinstance(value, int) or value < 1:
             raise ScenarioError(f"{name} = {value!r}: give a whole number of at least 1")
@@ -195,8 +195,14 @@ class _Batch(NamedTuple):
     kept: dict[int, Run]
 
 
-def _count(dispersed: Any) -> int:
-    """Number of runs, the common length of the leaves."""
+def count(dispersed: Any) -> int:
+    """Number of runs of `draw`n dispersions, the common length of their leaves.
+
+    Raises
+    ------
+    ScenarioError
+        No runs, arrays of different lengths, something that is no number.
+    """
     blocks.register(dispersed)
     lengths = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(dispersed)}
     if len(lengths) != 1 or lengths <= {(), (0,)}:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from plants import amazonia1, campaign
+from plants.study import judged
 
 pytestmark = pytest.mark.slow
 
@@ -34,7 +35,7 @@ def flown(tmp_path_factory):
     """Twelve runs of the Monte Carlo at full length, every controller."""
     out = tmp_path_factory.mktemp("amazonia1")
     s = run(study, ["--runs", "12", "--out", str(out)])
-    return s, {c.text: c for c in study.judge(study.statements(s))}, out
+    return s, {c.text: c for c in judged(study.statements(s))}, out
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +43,7 @@ def attracted(tmp_path_factory):
     """Forty initial conditions at full length."""
     out = tmp_path_factory.mktemp("region")
     s = run(region, ["--runs", "40", "--out", str(out)])
-    return s, {c.text: c for c in study.judge(region.statements(s))}, out
+    return s, {c.text: c for c in judged(region.statements(s))}, out
 
 
 def test_every_controller_settles_every_run(flown):

@@ -6,9 +6,10 @@ import re
 import cubesat3u as study
 import numpy as np
 import pytest
-from cubesat3u_claims import claims, growth
+from cubesat3u_claims import growth
 
 from plants import campaign, cubesat3u
+from plants.study import judged
 from synth import Design
 from synth.errors import ModelError
 
@@ -29,8 +30,8 @@ def flown(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(study, "fly", fly)
         assert study.main(["--runs", "5", "--out", str(out)]) == 0
-    judged = claims(kept["study"])
-    return kept["study"], {c.text: c.verdict for c in judged}, out
+    claims = judged(study.statements(kept["study"]))
+    return kept["study"], {c.text: c.verdict for c in claims}, out
 
 
 def test_ekf_with_hinf_meets_table_1_in_every_run(flown):
@@ -115,7 +116,7 @@ def test_interruption_keeps_what_was_flown(tmp_path, monkeypatch, capsys):
     assert "INTERRUPTED" in (tmp_path / "report.html").read_text()
     printed = capsys.readouterr().out
     assert "EKF + Hinf" in printed
-    assert "not measured: interrupted before" in printed
+    assert "NOT MEASURED: interrupted before" in printed
 
 
 def test_bad_options_are_refused(capsys):

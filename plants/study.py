@@ -1,0 +1,237 @@
+"""What all studies share: the command line, the flights and their interruption, the tables, the claims, the page.
+
+A study is numbers with their sources, scenarios, and what it makes of them; its `main` reads
+
+    options = study.parse(study.parser(__doc__, ...), arguments)
+    study.carry_out(found, lambda: fly(found, ...))
+    return study.conclude(found, options.out, title=..., tables=..., statements=..., sections=...)
+
+Ctrl-C ends the flights, not the study: what has been measured by then is printed and written, and says so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import platform
+import time
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from matplotlib.figure import Figure
+from tqdm import tqdm
+
+from plants import campaign, report
+
+PACKAGES = ("convex-synth", "jax", "numpy", "scipy")  # named at the foot of every page
+INTERRUPTED = 130  # exit code, as of a program ended by Ctrl-C
+
+Verdict = tuple[str, str]  # "holds", "does not hold", "depends on ..." or "not measured", and the figures behind it
+
+
+class Statement(NamedTuple):
+    """A claim of a paper, and the function that judges it by what was measured."""
+
+    text: str
+    source: str  # section, table or figure
+    judge: Callable[[], Verdict]
+
+
+class Table(NamedTuple):
+    """A table for the terminal and for the page."""
+
+    title: str
+    headers: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+    marks: Sequence[Sequence[str]] = ()  # "pass", "fail" or "" for each cell, see `report.table`
+    note: str = ""  # a sentence below
+
+    def text(self) -> str:
+        """For the terminal."""
+        body = report.text_table(self.headers, self.rows)
+        return f"{body}\n({self.note})" if self.note else body
+
+    def section(self) -> report.Section:
+        """For the page."""
+        note = report.paragraph(self.note) if self.note else ""
+        return report.Section(self.title, report.table(self.headers, self.rows, marks=self.marks) + note)
+
+
+@dataclass(kw_only=True)
+class Study:
+    """What has been measured so far; a study adds its own fields."""
+
+    complete: bool = False  # False while it flies, and for good if it was interrupted
+    seconds: float = 0.0  # s, wall time of the flights
+
+
+def parser(doc: str | None, *, out: str, fast: str, runs: int, what: str = "dispersed runs") -> argparse.ArgumentParser:
+    """The options that all studies have; a study may add its own.
+
+    Parameters
+    ----------
+    doc : docstring of the study, whose first line describes it
+    out : folder for the report
+    fast : what --fast leaves, in words
+    runs : default of --runs
+    what : what --runs counts
+    """
+    p = argparse.ArgumentParser(description=(doc or "").strip().splitlines()[0])
+    p.add_argument("--fast", action="store_true", help=f"{fast}: a quick look")
+    p.add_argument("--runs", type=int, default=runs, help=f"{what} (default {runs})")
+    p.add_argument("--seed", type=int, default=0, help="of everything that is drawn (default 0)")
+    p.add_argument("--out", type=Path, default=Path(out), help=f"folder for report and data (default {out})")
+    return p
+
+
+def parse(parser: argparse.ArgumentParser, arguments: Sequence[str] | None, *, natural: Collection[str] = ()) -> Any:
+    """The options, checked: at least one run, a whole seed; likewise the options named in `natural`.
+
+    Unusable ones end the program with exit code 2 and a line that names the option.
+    """
+    options = parser.parse_args(arguments)
+    if options.runs < 1:
+        parser.error(f"--runs {options.runs}: at least one run is needed")
+    for name in ("seed", *natural):
+        if (getattr(options, name) or 0) < 0:
+            parser.error(f"--{name} {getattr(options, name)}: give a whole number of at least 0")
+    return options
+
+
+def carry_out(study: Study, fly: Callable[[], None]) -> None:
+    """Call `fly`, which fills the study; note the time it took and whether it came to its end."""
+    started = time.perf_counter()
+    try:
+        fly()
+        study.complete = True
+    except KeyboardInterrupt:
+        print("interrupted: the report holds what was flown")
+    study.seconds = time.perf_counter() - started
+
+
+def campaigns(
+    case: campaign.Case,
+    dispersed: Any,
+    shared: Mapping[str, Any],
+    into: dict[str, campaign.Campaign],
+    *,
+    keep: Mapping[str, Sequence[int]] | None = None,
+    **options: Any,
+) -> None:
+    """One campaign for each name in `shared`, under one progress bar; what has finished is in `into`.
+
+    Parameters
+    ----------
+    case, dispersed : as in `campaign.campaign`
+    shared : name -> what the runs of this campaign have in common
+    into : name -> Campaign, filled here
+    keep : name -> indices of the runs whose trajectories are kept
+    options : further ones of `campaign.campaign`, the same for all
+
+    Raises
+    ------
+    KeyboardInterrupt
+        Ctrl-C; the finished batches are in `into`.
+    """
+    runs = campaign.count(dispersed)
+    with tqdm(total=len(shared) * runs, desc="runs", delay=2.0) as bar:
+        for done, (name, common) in enumerate(shared.items()):
+
+            def advanced(finished: int, before: int = done * runs) -> None:
+                bar.update(before + finished - bar.n)
+
+            kept = (keep or {}).get(name, ())
+            flown = campaign.campaign(
+                case, dispersed, common, keep=kept, progress=False, on_batch=advanced, **options
+            )  # fmt: skip
+            if len(flown.index):
+                into[name] = flown
+            if not flown.complete:
+                raise KeyboardInterrupt
+
+
+def judged(statements: Sequence[Statement]) -> list[report.Claim]:
+    """Every claim with its verdict; those whose runs are missing are "not measured"."""
+    claims = []
+    for statement in statements:
+        try:
+            verdict, measured = statement.judge()
+        except (KeyError, IndexError) as missing:
+            verdict, measured = "not measured", f"interrupted before {missing.args[0]}"
+        claims.append(report.Claim(statement.text, statement.source, verdict, measured))
+    return claims
+
+
+def either(first: bool, second: bool, dependence: str) -> str:
+    """The verdict "holds" when it does in both cases, "depends on ..." when in one."""
+    if first and second:
+        return "holds"
+    return f"depends on {dependence}" if first or second else "does not hold"
+
+
+def drawings(title: str, drawn: Sequence[tuple[Figure, str]]) -> report.Section:
+    """A section of figures with their captions."""
+    parts = [report.figure(fig, caption, salt=f"{title}{k}") for k, (fig, caption) in enumerate(drawn)]
+    return report.Section(title, "".join(parts))
+
+
+def conclude(
+    study: Study,
+    out: Path,
+    *,
+    title: str,
+    subtitle: str,
+    tables: Sequence[Table],
+    statements: Sequence[Statement],
+    settings: str,
+    sections: Sequence[report.Section] = (),
+    findings: Sequence[str] = (),
+    packages: Collection[str] = (),
+    notes: Sequence[str] = (),
+) -> int:
+    """Print tables and claims, write ``report.html`` into `out`, return the exit code.
+
+    Parameters
+    ----------
+    study : carried out
+    out : folder, made if it is not there
+    title, subtitle : of the page; the subtitle names the paper
+    tables : in order; they come first
+    statements : the paper's claims
+    settings : what was flown, in words
+    sections : further ones of the page, after the claims
+    findings : what the paper does not say, in sentences
+    packages : versions to name beside `PACKAGES`
+    notes : further lines at the foot
+    """
+    for table in tables:
+        print(table.text(), end="\n\n")
+    claims = judged(statements)
+    for claim in claims:
+        print(f"{claim.text}\n  {claim.verdict.upper()}: {claim.measured}")
+    if findings:
+        print("\n".join(["", *findings]))
+    own = [table.section() for table in tables]
+    own.append(report.Section("The paper's claims, measured", report.claims_table(claims)))
+    if findings:
+        own.append(report.Section("What the paper does not say", "".join(map(report.paragraph, findings))))
+    foot = [*provenance(settings, study, packages), *notes]
+    path = written(out / "report.html", report.page(title, subtitle, [*own, *sections], foot))
+    print(f"\nflown in {study.seconds:.0f} s; report: {path}")
+    return 0 if study.complete else INTERRUPTED
+
+
+def provenance(settings: str, study: Study, packages: Collection[str] = ()) -> list[str]:
+    """What a page was made with."""
+    versions = ", ".join(f"{name} {metadata.version(name)}" for name in dict.fromkeys((*PACKAGES, *packages)))
+    state = "complete" if study.complete else "INTERRUPTED: what was flown until then"
+    return [f"{settings}; {state}; {study.seconds:.0f} s", f"Python {platform.python_version()}, {versions}"]
+
+
+def written(path: Path, page: str) -> Path:
+    """A page in its file; the folder is made if it is not there."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(page, encoding="utf-8")
+    return path
