@@ -208,6 +208,9 @@ def test_other_bad_input_is_named(monkeypatch):
     for duration in (0.0, -1.0, 0.12):
         with pytest.raises(ScenarioError, match="duration"):
             amazonia1.manoeuvre(start(), ProportionalDerivative(), duration=duration)
+    for period in (0.0, -0.05, np.nan):
+        with pytest.raises(ScenarioError, match="period"):
+            amazonia1.manoeuvre(start(), ProportionalDerivative(), period=period)
     with pytest.raises(ScenarioError, match="torque_limit"):
         ReactionWheels.create(amazonia1.WHEEL_AXES, torque_limit=-0.075)
     skew = amazonia1.INERTIA + np.array([[0, 1, 0], [0, 0, 0], [0, 0, 0]])

@@ -165,3 +165,9 @@ def test_bad_options_are_refused(module, capsys):
         with pytest.raises(SystemExit):
             module.main(arguments)
         assert message in capsys.readouterr().err
+
+
+def test_a_period_that_does_not_fill_a_second_is_refused(capsys):
+    with pytest.raises(SystemExit):
+        region.main(["--period", "0.3"])
+    assert "--period 0.3: give a part of 1 s" in capsys.readouterr().err
