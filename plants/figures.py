@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from plants.indices import clopper_pearson
-from plants.report import STYLE
+from plants.report import BOUND, STYLE
 
 Series = Mapping[str, tuple[np.ndarray, np.ndarray]]  # name -> time (N,) s, values (N, k)
 DENSE = 2000  # points above which a line becomes a picture inside the SVG
@@ -43,7 +43,7 @@ def against_bound(series: Series, rows: Sequence[str], bound: float, unit: str) 
             for i, column in enumerate(values.T):
                 axes[i, j].plot(time, column, lw=0.7, rasterized=len(time) > DENSE)
                 for level in (-bound, bound):
-                    axes[i, j].axhline(level, color="#c0322b", ls="--", lw=0.9)
+                    axes[i, j].axhline(level, color=BOUND, ls="--", lw=0.9)
             axes[-1, j].set_xlabel("time, s")
         for i, label in enumerate(rows):
             axes[i, 0].set_ylabel(f"{label}, {unit}")
@@ -82,7 +82,7 @@ def levels(names: Sequence[str], values: Mapping[str, np.ndarray], bounds: Mappi
             for j, row in enumerate(table):
                 offset = np.linspace(-0.28, 0.28, len(row)) if len(row) > 1 else np.zeros(1)
                 ax.plot(j + offset, row, ".", ms=4)
-            ax.axhline(bounds[index], color="#c0322b", ls="--", lw=0.9)
+            ax.axhline(bounds[index], color=BOUND, ls="--", lw=0.9)
             ax.set_title(f"{index}, {unit}")
             ax.set_yscale("log")
             ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -115,9 +115,9 @@ def scatter(
             ax.set_title(title)
             ax.set_xlabel(xlabel)
             for level in up:
-                ax.axvline(level, color="#c0322b", ls="--", lw=0.9)
+                ax.axvline(level, color=BOUND, ls="--", lw=0.9)
             for level in across:
-                ax.axhline(level, color="#c0322b", ls="--", lw=0.9)
+                ax.axhline(level, color=BOUND, ls="--", lw=0.9)
             if diagonal:
                 ax.axline((0, 0), slope=1, color="#888888", ls="--", lw=0.9)
         axes[0].set_ylabel(ylabel)
@@ -154,7 +154,7 @@ def shares(
                 middle, share, [share - low, high - share], fmt=".-", ms=4, capsize=2, elinewidth=0.8, label=name
             )
         for level in up:
-            ax.axvline(level, color="#c0322b", ls="--", lw=0.9)
+            ax.axvline(level, color=BOUND, ls="--", lw=0.9)
         ax.set_xlabel(xlabel)
         ax.set_ylabel("share of runs")
         fig.legend(loc="outside upper center", ncols=min(4, len(counts)))

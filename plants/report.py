@@ -1,27 +1,36 @@
-"""One self-contained HTML page for a study: requirements, claims, figures, files, provenance.
+"""One self-contained HTML page for a study: requirements, claims, figures, controllers, files, provenance.
 
-Figures are inline SVG whose ink is the page's own text colour, so that they follow light and dark; artists marked
-`rasterized` become pictures inside. Nothing is fetched from anywhere.
+The page is read on a phone and on paper as well: wide tables scroll or turn into stacked rows, light and dark follow
+the reader's setting, and what is met or not is said by a sign and a word, not by colour alone. Figures are inline SVG
+whose ink is the page's own text colour; artists marked `rasterized` become pictures inside. Nothing is fetched from
+anywhere, and nothing is a program.
 """
 
 from __future__ import annotations
 
 import html
 import io
+import re
 from collections.abc import Sequence
+from itertools import count
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
+import numpy as np
 from cycler import cycler
 from matplotlib.figure import Figure
 
+from plants.page_style import CSS
+
 INK = "#010203"  # stands for the page's text colour while a figure is drawn
+COLOURS = ("#2b7fc3", "#c9660c", "#2b8f4b", "#c2459b", "#8467d0", "#8c7718", "#7a7a7a")
+BOUND = "#d23f38"  # of requirements in figures
 STYLE: dict[Any, Any] = {
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
     "axes.facecolor": "none",
     "axes.grid": True,
-    "axes.prop_cycle": cycler(color=["#2b7fc3", "#e07b1a", "#2f9e52", "#c2459b", "#8a6fd1", "#a08a2a", "#7a7a7a"]),
+    "axes.prop_cycle": cycler(color=COLOURS),
     "axes.spines.right": False,
     "axes.spines.top": False,
     "axes.titlesize": "medium",
@@ -37,6 +46,13 @@ STYLE: dict[Any, Any] = {
     "xtick.color": INK,
     "ytick.color": INK,
 }
+SIGNS = {"pass": ("&#10003;", "met"), "fail": ("&#10007;", "not met")}  # sign, and the word that is read aloud
+VERDICTS = {"holds": ("pass", "&#10003;"), "does not hold": ("fail", "&#10007;"), "not measured": ("none", "&#8211;")}
+DEPENDS = ("part", "&#8776;")  # of a verdict that depends on something
+
+
+class Html(str):
+    """Text that is HTML already; other text is escaped."""
 
 
 class Claim(NamedTuple):
@@ -46,6 +62,36 @@ class Claim(NamedTuple):
     source: str  # section, table or figure
     verdict: str  # "holds", "does not hold", "depends on ...", "not measured"
     measured: str  # the figures behind the verdict
+
+
+class Requirement(NamedTuple):
+    """A figure and its limit; a NaN meets nothing."""
+
+    name: str
+    value: float
+    bound: float
+    unit: str
+    least: bool = False  # the bound is a least value, not a largest
+
+    @property
+    def met(self) -> bool:
+        """Whether the value is on the right side of the bound, or on it."""
+        return bool(self.value >= self.bound) if self.least else bool(self.value <= self.bound)
+
+    @property
+    def margin(self) -> float:
+        """What is left up to the bound, % of the bound; negative if it is not met."""
+        left = self.value - self.bound if self.least else self.bound - self.value
+        return 100 * left / abs(self.bound) if self.bound else float("nan")
+
+
+class Card(NamedTuple):
+    """A controller at a glance: any facts, and the files beside the page."""
+
+    name: str
+    facts: Sequence[tuple[str, Any]]  # such as ("verified norm", "0.9994")
+    files: Sequence[tuple[str, str]] = ()  # (file beside the page, what it is)
+    note: str = ""
 
 
 class Section(NamedTuple):
@@ -60,15 +106,40 @@ def paragraph(text: str) -> str:
     return f"<p>{html.escape(text)}</p>"
 
 
-def table(headers: Sequence[str], rows: Sequence[Sequence[Any]], *, marks: Sequence[Sequence[str]] = ()) -> str:
-    """A table; `marks` gives each cell a class: "pass", "fail" or ""."""
-    head = "".join(f"<th>{html.escape(h)}</th>" for h in headers)
+def table(
+    headers: Sequence[str],
+    rows: Sequence[Sequence[Any]],
+    *,
+    marks: Sequence[Sequence[str]] = (),
+    label: str = "",
+    stacked: bool = False,
+) -> str:
+    """A table whose first column names its rows.
+
+    Parameters
+    ----------
+    headers : of the columns
+    rows : of text, or of `Html`
+    marks : for each cell "pass", "fail" or "": a colour and a sign
+    label : what the table is, read aloud; the first header by default
+    stacked : on a phone every row becomes a block of "header: value" lines, for tables of sentences; other tables
+        scroll sideways there
+    """
+    # the roles are those of the elements, but a table that is not displayed as one would lose them
+    head = "".join(f'<th role="columnheader" scope="col">{_text(h)}</th>' for h in headers)
     lines = []
     for i, row in enumerate(rows):
         classes = marks[i] if marks else [""] * len(row)
-        cells = (f'<td class="{c}">{html.escape(str(v))}</td>' for v, c in zip(row, classes, strict=True))
-        lines.append(f"<tr>{''.join(cells)}</tr>")
-    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
+        first = f'<th role="rowheader" scope="row">{_text(row[0])}</th>'
+        cells = [_cell(v, c, h) for v, c, h in zip(row[1:], classes[1:], headers[1:], strict=True)]
+        lines.append(f'<tr role="row">{first}{"".join(cells)}</tr>')
+    name = html.escape(label or f"Table: {headers[0]}", quote=True)
+    kind = "stacked" if stacked else "wide"
+    return (
+        f'<div class="scroll" role="region" aria-label="{name}" tabindex="0"><table class="{kind}" role="table">'
+        f'<thead role="rowgroup"><tr role="row">{head}</tr></thead><tbody role="rowgroup">{"".join(lines)}</tbody>'
+        "</table></div>"
+    )
 
 
 def text_table(headers: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
@@ -79,66 +150,144 @@ def text_table(headers: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
 
 def claims_table(claims: Sequence[Claim]) -> str:
     """Every claim with its verdict and the figures behind it."""
-    marks = {"holds": "pass", "does not hold": "fail"}
-    rows = [(c.text, c.source, c.verdict, c.measured) for c in claims]
-    return table(
-        ("claim", "where", "verdict", "measured"), rows, marks=[["", "", marks.get(c.verdict, ""), ""] for c in claims]
-    )
+    rows = []
+    for claim in claims:
+        mark, sign = VERDICTS.get(claim.verdict, DEPENDS)
+        verdict = Html(
+            f'<span class="verdict {mark}"><span aria-hidden="true">{sign}</span> {html.escape(claim.verdict)}</span>'
+        )
+        rows.append((claim.text, claim.source, verdict, claim.measured))
+    return table(("claim", "where", "verdict", "measured"), rows, label="Claims and verdicts", stacked=True)
 
 
-def figure(fig: Figure, caption: str, *, salt: str) -> str:
-    """A matplotlib figure as inline SVG; `salt`, different for each figure of a page, keeps its ids apart."""
+def requirements_table(requirements: Sequence[Requirement]) -> str:
+    """Value, requirement and margin of each; the bar is the part of the requirement that is used up."""
+    rows = []
+    for r in requirements:
+        mark = "pass" if r.met else "fail"
+        sign, word = SIGNS[mark]
+        used = r.bound / r.value if r.least and r.value else r.value / r.bound if r.bound else np.nan
+        width = 100 * float(np.clip(used, 0, 1)) if np.isfinite(used) else 100.0
+        bar = f'<span class="bar {mark}" aria-hidden="true"><span style="width:{width:.0f}%"></span></span>'
+        verdict = f'<span class="verdict {mark}"><span aria-hidden="true">{sign}</span> {word}</span>'
+        rows.append((
+            r.name, f"{r.value:.4g} {r.unit}", f"{'at least' if r.least else 'at most'} {r.bound:.4g} {r.unit}",
+            Html(f"{_percent(r.margin)} {bar}"), Html(verdict),
+        ))  # fmt: skip
+    headers = ("requirement", "measured", "required", "margin", "verdict")
+    return table(headers, rows, label="Requirements and margins", stacked=True)
+
+
+def cards(cards: Sequence[Card]) -> str:
+    """Controllers side by side."""
+    found = []
+    for card in cards:
+        facts = "".join(f"<div><dt>{_text(k)}</dt><dd>{_text(v)}</dd></div>" for k, v in card.facts)
+        note = paragraph(card.note) if card.note else ""
+        found.append(
+            f'<article class="card"><h3>{_text(card.name)}</h3><dl>{facts}</dl>{note}'
+            f"{links(card.files) if card.files else ''}</article>"
+        )
+    return f'<div class="cards">{"".join(found)}</div>'
+
+
+def figure(fig: Figure, caption: str, *, salt: str, alternative: str = "") -> str:
+    """A matplotlib figure as inline SVG.
+
+    Parameters
+    ----------
+    fig : drawn with `STYLE`
+    caption : below it
+    salt : different for each figure of a page, keeps its ids apart
+    alternative : what is read aloud in place of the picture; by default that it is one, with its caption
+    """
     buffer = io.StringIO()
     with mpl.rc_context({"svg.hashsalt": salt, **STYLE}):
         fig.savefig(buffer, format="svg", metadata={"Date": None}, bbox_inches="tight", dpi=150)
     svg = buffer.getvalue()
     svg = svg[svg.index("<svg") :].replace(INK, "currentColor")
-    label = html.escape(caption, quote=True)
+    label = html.escape(alternative or f"Figure: {caption}", quote=True)
     svg = svg.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
-    return f"<figure>{svg}<figcaption>{html.escape(caption)}</figcaption></figure>"
+    frame = f'<div class="scroll" role="group" aria-label="figure, may scroll" tabindex="0">{svg}</div>'
+    return f"<figure>{frame}<figcaption>{html.escape(caption)}</figcaption></figure>"
 
 
 def links(files: Sequence[tuple[str, str]]) -> str:
     """A list of files beside the page: (name, what it is)."""
-    rows = (f'<li><a href="{html.escape(n, quote=True)}">{html.escape(n)}</a>: {html.escape(t)}</li>' for n, t in files)
-    return f"<ul>{''.join(rows)}</ul>"
+    rows = (
+        f'<li><a href="{html.escape(n, quote=True)}" download>{html.escape(n)}</a>: {html.escape(t)}</li>'
+        for n, t in files
+    )
+    return f'<ul class="files">{"".join(rows)}</ul>'
 
 
-def page(title: str, subtitle: str, sections: Sequence[Section], provenance: Sequence[str]) -> str:
-    """The whole page."""
-    body = "".join(f"<section><h2>{html.escape(s.title)}</h2>{s.body}</section>" for s in sections)
+def page(
+    title: str,
+    subtitle: str,
+    sections: Sequence[Section],
+    provenance: Sequence[str],
+    *,
+    highlights: Sequence[tuple[str, str]] = (),
+) -> str:
+    """The whole page.
+
+    Parameters
+    ----------
+    title, subtitle : at its head
+    sections : in order, listed in the contents
+    provenance : lines at its foot
+    highlights : (figure, what it counts), in large letters below the title
+    """
+    names = _anchors([s.title for s in sections])
+    body = "".join(
+        f'<section aria-labelledby="{name}"><h2 id="{name}">{html.escape(s.title)}</h2>{s.body}</section>'
+        for name, s in zip(names, sections, strict=True)
+    )
+    entries = [*zip(names, (s.title for s in sections), strict=True), ("provenance", "Provenance")]
+    contents = "".join(f'<li><a href="#{name}">{html.escape(text)}</a></li>' for name, text in entries)
+    tiles = "".join(f"<div><dt>{_text(what)}</dt><dd>{_text(figure)}</dd></div>" for figure, what in highlights)
     foot = "".join(f"<li>{html.escape(line)}</li>" for line in provenance)
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         '<link rel="icon" href="data:,">'
-        f"<title>{html.escape(title)}</title><style>{CSS}</style></head><body><main>"
-        f'<header><h1>{html.escape(title)}</h1><p class="subtitle">{html.escape(subtitle)}</p></header>'
-        f"{body}<footer><ul>{foot}</ul></footer></main></body></html>\n"
+        f"<title>{html.escape(title)}</title><style>{CSS}</style></head><body>"
+        '<a class="skip" href="#content">Skip to the content</a>'
+        f'<header><h1>{html.escape(title)}</h1><p class="subtitle">{html.escape(subtitle)}</p>'
+        f"{f'<dl class=tiles>{tiles}</dl>' if tiles else ''}"
+        f'<nav aria-label="Contents"><ul>{contents}</ul></nav></header>'
+        f'<main id="content">{body}</main>'
+        f'<footer><h2 id="provenance">Provenance</h2><ul>{foot}</ul></footer></body></html>\n'
     )
 
 
-CSS = """
-:root { color-scheme: light dark; --back: #ffffff; --ink: #1c2430; --soft: #5c6878; --line: #d8dee6; --card: #f6f8fa;
-  --good: #1a7f42; --bad: #c0322b; }
-@media (prefers-color-scheme: dark) { :root { --back: #12161c; --ink: #e4e9f0; --soft: #9aa7b8; --line: #303a47;
-  --card: #1a2029; --good: #56c27e; --bad: #f0807a; } }
-* { box-sizing: border-box; }
-body { margin: 0; background: var(--back); color: var(--ink); font: 16px/1.55 system-ui, sans-serif; }
-main { max-width: 68rem; margin: 0 auto; padding: 1.5rem 1rem 3rem; }
-h1 { font-size: 1.7rem; line-height: 1.2; margin: 0 0 .3rem; }
-h2 { font-size: 1.2rem; margin: 2.2rem 0 .6rem; padding-top: .6rem; border-top: 1px solid var(--line); }
-.subtitle, figcaption, footer { color: var(--soft); }
-a { color: inherit; }
-.scroll { overflow-x: auto; }
-table { border-collapse: collapse; width: 100%; font-size: .9rem; font-variant-numeric: tabular-nums; }
-th, td { text-align: left; padding: .35rem .7rem .35rem 0; border-bottom: 1px solid var(--line); vertical-align: top; }
-th { font-weight: 600; color: var(--soft); white-space: nowrap; }
-td.pass { color: var(--good); } td.fail { color: var(--bad); }
-figure { margin: 1.2rem 0; padding: .8rem; background: var(--card); border-radius: .5rem; }
-figure svg { width: 100%; height: auto; color: var(--ink); }
-figcaption { font-size: .88rem; margin-top: .4rem; }
-pre { overflow-x: auto; background: var(--card); padding: .8rem; border-radius: .5rem; font-size: .85rem; }
-footer { margin-top: 3rem; font-size: .8rem; border-top: 1px solid var(--line); }
-footer ul { padding-left: 1.1rem; }
-"""
+def _text(value: Any) -> str:
+    """Anything as HTML."""
+    return value if isinstance(value, Html) else html.escape(str(value))
+
+
+def _cell(value: Any, mark: str, header: str) -> str:
+    """A cell with its sign; the header is shown beside it when the row is stacked."""
+    sign = ""
+    if mark in SIGNS:
+        glyph, word = SIGNS[mark]
+        sign = f' <span class="sign" role="img" aria-label="{word}">{glyph}</span>'
+    label = html.escape(header, quote=True)
+    return f'<td role="cell" class="{mark}" data-label="{label}"><span>{_text(value)}{sign}</span></td>'
+
+
+def _percent(margin: float) -> str:
+    """A margin in words that fit a column."""
+    if not np.isfinite(margin):
+        return "none" if margin < 0 else "undefined" if np.isnan(margin) else "unlimited"
+    return f"{margin:+.0f} %"
+
+
+def _anchors(titles: Sequence[str]) -> list[str]:
+    """A different id for each title."""
+    found = ["content", "provenance"]  # ids that the page uses itself
+    for title in titles:
+        name = re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-") or "section"
+        again = (f"{name}-{k}" for k in count(2))
+        found.append(name if name not in found else next(other for other in again if other not in found))
+    return found[2:]
