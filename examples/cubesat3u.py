@@ -230,19 +230,32 @@ def monte_carlo(found: Study) -> Table:
     return Table("Runs that meet each requirement", ("Monte Carlo", *INDICES), rows)
 
 
-def save(found: Study, out: Path) -> report.Section:
-    """The controllers' files in `out`, and their place on the page."""
+def margins(found: Study) -> list[report.Requirement]:
+    """The paper's choice in table 3's run against table 1, worst axis."""
+    if HINF not in found.nominal:
+        return []
+    levels = {name: float(worst(found.nominal[HINF], key)) for name, key in INDICES.items()}
+    return [report.Requirement(f"{name}, {HINF}", level, BOUNDS[name], "deg") for name, level in levels.items()]
+
+
+def save(found: Study, out: Path) -> list[report.Card]:
+    """The controllers' files in `out`, and their cards."""
     out.mkdir(parents=True, exist_ok=True)
-    files = []
-    for ending in ("json", "mat"):
+    files = {"json": "with its plant, every bit", "mat": "for MATLAB and Octave"}
+    for ending in files:
         found.design.save(out / f"hinf.{ending}")
-        files.append((f"hinf.{ending}", "the verified H-infinity controller with its plant"))
-        for form in ("velocity", "position"):
-            save_mpc(found.controllers[f"MPC {form}"], out / f"mpc_{form}.{ending}")
-            files.append((f"mpc_{form}.{ending}", f"the quadratic program of the MPC, {form} form"))
+    cards = [report.Card("H-infinity", [*found.design.facts.items()], [(f"hinf.{e}", t) for e, t in files.items()])]
+    for form in ("velocity", "position"):
+        controller = found.controllers[f"MPC {form}"]
+        for ending in files:
+            save_mpc(controller, out / f"mpc_{form}.{ending}")
+        facts = [("form", form), ("sampling time", f"{controller.dt:g} s"), ("horizon", cubesat3u.MPC_HORIZON),
+                 ("free moves", cubesat3u.MPC_MOVES), ("solver", "DAQP")]  # fmt: skip
+        named = [(f"mpc_{form}.{e}", "the quadratic program") for e in files]
+        cards.append(report.Card(f"MPC, {form} form", facts, named))
     if HINF in found.nominal:
         indices_figure(found).savefig(out / "indices.png", dpi=120, facecolor="white")
-    return report.Section("Controller", report.paragraph(repr(found.design)) + report.links(files))
+    return cards
 
 
 def sun_and_field(found: Study) -> list[str]:
@@ -275,7 +288,9 @@ def main(arguments: list[str] | None = None) -> int:
         tables=[requirements(found), monte_carlo(found)],
         statements=statements(found),
         findings=[*findings(found), *sun_and_field(found)],
-        sections=[save(found, options.out), *(drawings(found) if HINF in found.nominal else [])],
+        requirements=margins(found),
+        cards=save(found, options.out),
+        sections=drawings(found) if HINF in found.nominal else [],
         settings=f"{runs} dispersed runs, seed {options.seed}, {duration:g} s flights, window from {window:g} s",
         packages=("cvxpy", "clarabel", "daqp"),
         notes=[f"plant {design.plant.system.digest()[:16]}, {design.info.date}"],

@@ -63,7 +63,7 @@ def drawings(found: Any) -> list[report.Section]:
     if found.eclipse:
         angles = {n: (r.time, indices.errors(r).angle[:, None] / DEG) for n, r in found.eclipse.items()}
         spreads.append((
-            figures.histories(angles, ("pointing error, deg",)),
+            figures.histories(angles, ("pointing error, deg",), scale="log"),
             "One orbit from the start of table 3, with its eclipse: vector solution against the vectors themselves.",
         ))  # fmt: skip
     return [study.drawings("Table 3: one run", shown), study.drawings("Table 5: Monte Carlo", spreads)]

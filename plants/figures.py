@@ -11,14 +11,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from plants.indices import clopper_pearson
-from plants.report import BOUND, STYLE
+from plants.report import BOUND, COLOURS, STYLE
 
 Series = Mapping[str, tuple[np.ndarray, np.ndarray]]  # name -> time (N,) s, values (N, k)
 DENSE = 2000  # points above which a line becomes a picture inside the SVG
 
 
-def histories(series: Series, rows: Sequence[str], *, until: float | None = None) -> Figure:
-    """One row of axes for each of the k values, one colour for each name; time in s, up to `until`."""
+def histories(series: Series, rows: Sequence[str], *, until: float | None = None, scale: str = "linear") -> Figure:
+    """One row of axes for each of the k values, one colour for each name; time in s, up to `until`; scale of y."""
     with mpl.rc_context(STYLE):
         fig = Figure(figsize=(8.0, 1.0 + 1.35 * len(rows)), layout="constrained")
         axes = fig.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
@@ -28,8 +28,10 @@ def histories(series: Series, rows: Sequence[str], *, until: float | None = None
                 ax.plot(time[shown], column[shown], label=name, rasterized=len(time[shown]) > DENSE)
         for ax, label in zip(axes, rows, strict=True):
             ax.set_ylabel(label)
+            ax.set_yscale(scale)
         axes[-1].set_xlabel("time, s")
-        fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=min(4, len(series)))
+        fig.align_ylabels(axes)
+        fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=min(4, len(series)))
         return fig
 
 
@@ -56,13 +58,15 @@ def spread(runs: Sequence[tuple[np.ndarray, np.ndarray]], rows: Sequence[str], *
     with mpl.rc_context(STYLE):
         fig = Figure(figsize=(8.0, 1.0 + 1.35 * len(rows)), layout="constrained")
         axes = fig.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
+        alpha = float(np.clip(10 / max(len(runs), 1), 0.4, 1.0))  # many lines shade, few are seen
         for time, values in runs:
             shown = time <= until
             for ax, column in zip(axes, values.T, strict=True):
-                ax.plot(time[shown], column[shown], color="#2b7fc3", alpha=0.4, lw=0.7, rasterized=True)
+                ax.plot(time[shown], column[shown], color=COLOURS[0], alpha=alpha, lw=0.8, rasterized=True)
         for ax, label in zip(axes, rows, strict=True):
             ax.set_ylabel(label)
         axes[-1].set_xlabel("time, s")
+        fig.align_ylabels(axes)
         return fig
 
 
@@ -81,7 +85,7 @@ def levels(names: Sequence[str], values: Mapping[str, np.ndarray], bounds: Mappi
         for ax, (index, table) in zip(axes, values.items(), strict=True):
             for j, row in enumerate(table):
                 offset = np.linspace(-0.28, 0.28, len(row)) if len(row) > 1 else np.zeros(1)
-                ax.plot(j + offset, row, ".", ms=4)
+                ax.plot(j + offset, row, ".", ms=4 if len(row) > 12 else 6)
             ax.axhline(bounds[index], color=BOUND, ls="--", lw=0.9)
             ax.set_title(f"{index}, {unit}")
             ax.set_yscale("log")
@@ -122,7 +126,7 @@ def scatter(
                 ax.axline((0, 0), slope=1, color="#888888", ls="--", lw=0.9)
         axes[0].set_ylabel(ylabel)
         handles, labels = axes[0].get_legend_handles_labels()
-        fig.legend(handles, labels, loc="outside upper center", ncols=min(4, len(labels)), markerscale=2)
+        fig.legend(handles, labels, loc="outside upper left", ncols=min(4, len(labels)), markerscale=2)
         return fig
 
 
@@ -157,5 +161,5 @@ def shares(
             ax.axvline(level, color=BOUND, ls="--", lw=0.9)
         ax.set_xlabel(xlabel)
         ax.set_ylabel("share of runs")
-        fig.legend(loc="outside upper center", ncols=min(4, len(counts)))
+        fig.legend(loc="outside upper left", ncols=min(4, len(counts)))
         return fig

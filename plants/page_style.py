@@ -57,7 +57,8 @@ nav a { display: inline-block; padding: .25rem .7rem; border: 1px solid var(--li
   font-size: .88rem; text-decoration: none; }
 nav a:hover { background: var(--card); }
 .tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(8.5rem, 1fr)); gap: .6rem; margin: 1.2rem 0; }
-.tiles div { display: flex; flex-direction: column-reverse; padding: .7rem .9rem; background: var(--card);
+.tiles div { display: flex; flex-direction: column-reverse;
+  justify-content: flex-end; padding: .7rem .9rem; background: var(--card);
   border-radius: .5rem; }
 .tiles dt { color: var(--soft); font-size: .82rem; line-height: 1.3; }
 .tiles dd { margin: 0; font-size: 1.5rem; font-weight: 600; font-variant-numeric: tabular-nums; line-height: 1.3; }

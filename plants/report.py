@@ -84,6 +84,16 @@ class Requirement(NamedTuple):
         left = self.value - self.bound if self.least else self.bound - self.value
         return 100 * left / abs(self.bound) if self.bound else float("nan")
 
+    @property
+    def required(self) -> str:
+        """The bound in words."""
+        return f"{'at least' if self.least else 'at most'} {self.bound:.4g} {self.unit}".rstrip()
+
+    def __str__(self) -> str:
+        """For the terminal."""
+        verdict = f"margin {percent(self.margin)}, {'met' if self.met else 'NOT MET'}"
+        return f"{self.name} {self.value:.4g} {self.unit} ({self.required}): {verdict}"
+
 
 class Card(NamedTuple):
     """A controller at a glance: any facts, and the files beside the page."""
@@ -172,7 +182,7 @@ def requirements_table(requirements: Sequence[Requirement]) -> str:
         verdict = f'<span class="verdict {mark}"><span aria-hidden="true">{sign}</span> {word}</span>'
         rows.append((
             r.name, f"{r.value:.4g} {r.unit}", f"{'at least' if r.least else 'at most'} {r.bound:.4g} {r.unit}",
-            Html(f"{_percent(r.margin)} {bar}"), Html(verdict),
+            Html(f"{percent(r.margin)} {bar}"), Html(verdict),
         ))  # fmt: skip
     headers = ("requirement", "measured", "required", "margin", "verdict")
     return table(headers, rows, label="Requirements and margins", stacked=True)
@@ -276,7 +286,7 @@ def _cell(value: Any, mark: str, header: str) -> str:
     return f'<td role="cell" class="{mark}" data-label="{label}"><span>{_text(value)}{sign}</span></td>'
 
 
-def _percent(margin: float) -> str:
+def percent(margin: float) -> str:
     """A margin in words that fit a column."""
     if not np.isfinite(margin):
         return "none" if margin < 0 else "undefined" if np.isnan(margin) else "unlimited"

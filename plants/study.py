@@ -186,6 +186,8 @@ def conclude(
     tables: Sequence[Table],
     statements: Sequence[Statement],
     settings: str,
+    requirements: Sequence[report.Requirement] = (),
+    cards: Sequence[report.Card] = (),
     sections: Sequence[report.Section] = (),
     findings: Sequence[str] = (),
     packages: Collection[str] = (),
@@ -201,26 +203,49 @@ def conclude(
     tables : in order; they come first
     statements : the paper's claims
     settings : what was flown, in words
-    sections : further ones of the page, after the claims
+    requirements : of the design that the study is about; the page begins with their margins
+    cards : of the controllers
+    sections : further ones of the page, at its end
     findings : what the paper does not say, in sentences
     packages : versions to name beside `PACKAGES`
     notes : further lines at the foot
     """
+    claims = judged(statements)
     for table in tables:
         print(table.text(), end="\n\n")
-    claims = judged(statements)
+    for r in requirements:
+        print(r)
     for claim in claims:
         print(f"{claim.text}\n  {claim.verdict.upper()}: {claim.measured}")
     if findings:
         print("\n".join(["", *findings]))
-    own = [table.section() for table in tables]
+    own = [report.Section("Margins", report.requirements_table(requirements))] if requirements else []
+    own += [table.section() for table in tables]
     own.append(report.Section("The paper's claims, measured", report.claims_table(claims)))
     if findings:
         own.append(report.Section("What the paper does not say", "".join(map(report.paragraph, findings))))
+    if cards:
+        own.append(report.Section("Controllers", report.cards(cards)))
     foot = [*provenance(settings, study, packages), *notes]
-    path = written(out / "report.html", report.page(title, subtitle, [*own, *sections], foot))
+    marks = highlights(requirements, claims)
+    path = written(out / "report.html", report.page(title, subtitle, [*own, *sections], foot, highlights=marks))
     print(f"\nflown in {study.seconds:.0f} s; report: {path}")
     return 0 if study.complete else INTERRUPTED
+
+
+def highlights(requirements: Sequence[report.Requirement], claims: Sequence[report.Claim]) -> list[tuple[str, str]]:
+    """What a reader in a hurry sees: (figure, what it counts)."""
+    found = []
+    if requirements:
+        tightest = min(requirements, key=lambda r: r.margin)
+        found.append((f"{sum(r.met for r in requirements)} of {len(requirements)}", "requirements met"))
+        found.append((report.percent(tightest.margin), f"least margin: {tightest.name}"))
+    if claims:
+        verdicts = [claim.verdict for claim in claims]
+        measured = len(verdicts) - verdicts.count("not measured")
+        found.append((f"{verdicts.count('holds')} of {measured}", "claims of the paper hold as they stand"))
+        found.append((f"{verdicts.count('does not hold')} of {measured}", "claims do not hold"))
+    return found
 
 
 def provenance(settings: str, study: Study, packages: Collection[str] = ()) -> list[str]:

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from synth.norms import h2norm as h2norm
     from synth.norms import hinfnorm as hinfnorm
     from synth.norms import verify as verify
+    from synth.plots import sigma_plot as sigma_plot
     from synth.predictive import Mpc as Mpc
     from synth.predictive import mpc as mpc
     from synth.quaternion import quaternion_lqr as quaternion_lqr
@@ -99,6 +100,7 @@ _HOME = {
     "quaternion_pd": "quaternion",
     "quaternion_pid": "quaternion",
     "series": "statespace",
+    "sigma_plot": "plots",
     "state_feedback": "controller",
     "verify": "norms",
 }

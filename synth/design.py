@@ -7,6 +7,7 @@ exactly); the plant is in the file, so that reading it can close the loop and me
 from __future__ import annotations
 
 import datetime
+import html
 import json
 import os
 import tempfile
@@ -106,6 +107,26 @@ class Design:
             f"       gamma {self.gamma:.7g}, verified norm {self.verified_norm:.7g} at {self.info.frequency:.4g} rad/s,"
             f" method {self.info.method!r}, {self.info.seconds:.2f} s)"
         )
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """The design at a glance, in words: what a card or a table shows of it."""
+        facts = {"order": f"{self.controller.n} (plant {self.plant.sizes[0]})"}
+        facts |= {"sampling time": f"{self.plant.dt:g} s" if self.plant.dt else "continuous"}
+        facts |= {"gamma": f"{self.gamma:.7g}", "verified norm": f"{self.verified_norm:.7g}"}
+        facts |= {"peak at": f"{self.info.frequency:.4g} rad/s", "method": self.info.method}
+        return facts | {"plant sha256": self.plant.system.digest()[:16]}
+
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        rows = "".join(f"<tr><th>{html.escape(k)}</th><td>{html.escape(v)}</td></tr>" for k, v in self.facts.items())
+        return f"<table>{rows}</table>"
+
+    def plot(self, ax: Any = None, **style: Any) -> Any:
+        """Singular values of closed loop and controller against frequency; see `synth.plots.design_plot`."""
+        from synth.plots import design_plot
+
+        return design_plot(self, ax, **style)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write to `path`: ``.json`` (master format, read back by `load`) or ``.mat`` (MATLAB and Octave).
