@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import Any
 
 import matplotlib as mpl
@@ -14,6 +15,7 @@ from plants.indices import clopper_pearson
 from plants.report import BOUND, COLOURS, STYLE
 
 Series = Mapping[str, tuple[np.ndarray, np.ndarray]]  # name -> time (N,) s, values (N, k)
+DASHES = ("-", "--", "-.", ":")  # histories that coincide are told apart, also without colours
 DENSE = 2000  # points above which a line becomes a picture inside the SVG
 
 
@@ -22,10 +24,10 @@ def histories(series: Series, rows: Sequence[str], *, until: float | None = None
     with mpl.rc_context(STYLE):
         fig = Figure(figsize=(8.0, 1.0 + 1.35 * len(rows)), layout="constrained")
         axes = fig.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
-        for name, (time, values) in series.items():
+        for (name, (time, values)), dashes in zip(series.items(), cycle(DASHES)):
             shown = slice(None) if until is None else time <= until
             for ax, column in zip(axes, values.T, strict=True):
-                ax.plot(time[shown], column[shown], label=name, rasterized=len(time[shown]) > DENSE)
+                ax.plot(time[shown], column[shown], ls=dashes, label=name, rasterized=len(time[shown]) > DENSE)
         for ax, label in zip(axes, rows, strict=True):
             ax.set_ylabel(label)
             ax.set_yscale(scale)

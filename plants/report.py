@@ -213,9 +213,16 @@ def figure(fig: Figure, caption: str, *, salt: str, alternative: str = "") -> st
     """
     buffer = io.StringIO()
     with mpl.rc_context({"svg.hashsalt": salt, **STYLE}):
-        fig.savefig(buffer, format="svg", metadata={"Date": None}, bbox_inches="tight", dpi=150)
+        fig.savefig(
+            buffer,
+            format="svg",
+            metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")),
+            bbox_inches="tight",
+            dpi=150,
+        )
     svg = buffer.getvalue()
     svg = svg[svg.index("<svg") :].replace(INK, "currentColor")
+    svg = re.sub(r'<g id="[^"]*"', "<g", svg)  # nothing refers to groups, whose names are the same in all figures
     label = html.escape(alternative or f"Figure: {caption}", quote=True)
     svg = svg.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
     frame = f'<div class="scroll" role="group" aria-label="figure, may scroll" tabindex="0">{svg}</div>'

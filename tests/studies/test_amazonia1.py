@@ -6,6 +6,7 @@ import amazonia1 as study
 import amazonia1_region as region
 import numpy as np
 import pytest
+from browser import check, needs_chromium
 
 from plants import amazonia1, campaign
 from plants.study import judged
@@ -97,6 +98,12 @@ def test_report_of_the_monte_carlo(flown):
     assert "figure 3b" in page
     assert not re.search(r'(src|href)="(https?:)?//', page)
     assert "complete" in page
+
+
+@needs_chromium
+def test_reports_in_a_browser(flown, attracted):
+    check(flown[2] / "report.html", figures=2)
+    check(attracted[2] / "report.html", figures=5)
 
 
 def test_nothing_converges_beyond_the_momentum_of_the_wheels(attracted):

@@ -6,6 +6,7 @@ import re
 import cubesat3u as study
 import numpy as np
 import pytest
+from browser import check, needs_chromium
 from cubesat3u_claims import growth
 
 from plants import campaign, cubesat3u
@@ -100,6 +101,15 @@ def test_files_and_report(flown):
     assert not re.search(r'(src|href)="(https?:)?//', page)
     assert "EKF + PD" in page
     assert "complete" in page
+    for fact in s.design.facts.values():
+        assert f"<dd>{fact}</dd>" in page
+    assert {r.name.split(",")[0] for r in study.margins(s)} == set(study.INDICES)
+    assert all(r.met for r in study.margins(s))
+
+
+@needs_chromium
+def test_report_in_a_browser(flown):
+    check(flown[2] / "report.html", figures=11)
 
 
 def test_interruption_keeps_what_was_flown(tmp_path, monkeypatch, capsys):

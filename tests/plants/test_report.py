@@ -1,0 +1,129 @@
+"""Pages of studies: what they say, and how a real browser shows them."""
+
+import re
+
+import numpy as np
+import pytest
+from browser import CHROMIUM, FLAGS, check, needs_chromium
+
+from plants import figures, report
+from plants.report import Card, Claim, Html, Requirement, Section
+
+LONG = "a sentence that goes on, as verdicts do, with figures 0.1234 and names that are long: " * 3
+REQUIREMENTS = [
+    Requirement("APE", 0.13, 0.65, "deg"),
+    Requirement("PSE", 0.36, 0.12, "deg"),
+    Requirement("stability margin", 0.3, 0.25, "", least=True),
+    Requirement("settling time", np.inf, 60.0, "s"),
+]
+CLAIMS = [Claim("It points <well>", "table 1", "holds", LONG), Claim("It is fast", "", "does not hold", "2 s"),
+          Claim("It is best", "", "depends on the index", LONG), Claim("It lasts", "", "not measured", "")]  # fmt: skip
+
+
+def example() -> str:
+    """Every element that a page may have."""
+    time = np.linspace(0, 10, 50)
+    drawn = figures.histories({"one": (time, np.sin(time)[:, None])}, ["angle, deg"])
+    dense = figures.spread([(time, np.cos(k * time)[:, None]) for k in range(3)], ["rate"], until=10.0)
+    wide = report.table(["name", *(f"column {k}" for k in range(9))], [["row", *range(9)]],
+                        marks=[["", "pass", "fail", *[""] * 7]])  # fmt: skip
+    card = Card("H-infinity & co", [("order", 6), ("hash", "0123456789abcdef" * 4)], [("k.json", "a file")], "Note.")
+    sections = [
+        Section("Requirements", report.requirements_table(REQUIREMENTS)),
+        Section("Claims", report.claims_table(CLAIMS)),
+        Section("Claims", wide + report.paragraph("1 < 2")),
+        Section("Controllers", report.cards([card])),
+        Section("Figures", report.figure(drawn, "A history.", salt="a") + report.figure(dense, "Many.", salt="b")),
+    ]
+    return report.page("A study", "of nothing", sections, ["seed 0"], highlights=[("2 of 4", "met")])
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    (folder / "k.json").write_text("{}")
+    (folder / "report.html").write_text(example(), encoding="utf-8")
+    return folder / "report.html"
+
+
+def test_margins():
+    assert [r.margin for r in REQUIREMENTS] == pytest.approx([80.0, -200.0, 20.0, -np.inf])
+    assert [r.met for r in REQUIREMENTS] == [True, False, True, False]
+    assert not Requirement("lost", np.nan, 1.0, "deg").met
+    assert np.isnan(Requirement("zero", 1.0, 0.0, "deg").margin)
+    assert str(REQUIREMENTS[1]) == "PSE 0.36 deg (at most 0.12 deg): margin -200 %, NOT MET"
+    assert REQUIREMENTS[2].required == "at least 0.25"
+
+
+def test_requirements_are_met_or_not_by_sign_and_word():
+    rows = re.findall(r"<tr role=\"row\"><th role=\"rowheader\".*?</tr>", report.requirements_table(REQUIREMENTS))
+    assert [("&#10003;" in row, "not met" in row) for row in rows] == [(r.met, not r.met) for r in REQUIREMENTS]
+    assert "+80 %" in rows[0]
+    assert "width:20%" in rows[0]
+
+
+def test_verdicts_have_signs():
+    page = report.claims_table(CLAIMS)
+    assert re.findall(r'class="verdict (\w+)"', page) == ["pass", "fail", "part", "none"]
+    assert "It points &lt;well&gt;" in page
+
+
+def test_text_is_escaped_and_html_is_not():
+    page = report.table(["a", "b"], [["<i>", Html("<b>x</b>")]], marks=[["", "pass"]])
+    assert "&lt;i&gt;" in page
+    assert "<b>x</b>" in page
+    assert 'aria-label="met"' in page
+
+
+def test_pages_are_reproducible_and_fetch_nothing():
+    page = example()
+    assert page == example()
+    assert not re.search(r'(src|href)="(https?:)?//', page)
+    assert report.INK not in page
+    assert page.count("<figure>") == 2
+    assert 'id="claims"' in page
+    assert 'id="claims-2"' in page
+    assert 'href="k.json" download' in page
+
+
+def test_series_are_seen_on_light_and_dark_cards():
+    """Contrast of graphical objects is at least 3 (WCAG 2.2, 1.4.11)."""
+    from plants.page_style import DARK, LIGHT
+
+    def luminance(colour: str) -> float:
+        v = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+        return float(np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4) @ [0.2126, 0.7152, 0.0722])
+
+    for colour in (*report.COLOURS, report.BOUND):
+        for theme in (LIGHT, DARK):
+            low, high = sorted((luminance(colour), luminance(theme["card"])))
+            assert (high + 0.05) / (low + 0.05) >= 3, (colour, theme["card"])
+
+
+@pytest.mark.slow
+@needs_chromium
+def test_every_screen_and_scheme(path):
+    check(path, figures=2)
+
+
+@pytest.mark.slow
+@needs_chromium
+def test_phone_keyboard_and_paper(path):
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
+        page = browser.new_page(viewport={"width": 390, "height": 844})
+        page.goto(path.as_uri())
+        cell = ".stacked td[data-label=verdict]"
+        assert page.evaluate(f"getComputedStyle(document.querySelector('{cell}'), '::before').content") == '"verdict"'
+        assert page.get_by_role("columnheader", name="verdict").count() == 2  # stacked rows are tables still
+        page.keyboard.press("Tab")
+        assert page.evaluate("document.activeElement.hash") == "#content"
+        page.keyboard.press("Tab")
+        page.keyboard.press("Enter")
+        assert page.url.endswith("#requirements")
+        page.emulate_media(media="print", color_scheme="dark")
+        assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+        assert not page.get_by_role("navigation").is_visible()
+        browser.close()
