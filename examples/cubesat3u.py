@@ -72,21 +72,30 @@ class Study(study.Study):
     eclipse: dict[str, Run] = field(default_factory=dict)  # one orbit with its eclipse
 
 
-def design_controllers() -> tuple[synth.Design, dict[str, Any]]:
-    """The verified H-infinity design of table 4, and all controllers by name."""
-    model = synth.StateSpace(*cubesat3u.linear_model(), cubesat3u.CONTROL_PERIOD)
-    W = cubesat3u.WEIGHTS
+def model() -> synth.StateSpace:
+    """The linear model about nadir, torque to quaternion and rate."""
+    return synth.StateSpace(*cubesat3u.linear_model(), cubesat3u.CONTROL_PERIOD)
+
+
+def hinfinity(W: cubesat3u.Weights = cubesat3u.WEIGHTS) -> synth.Design:
+    """The verified H-infinity design, by default with the weights of table 4."""
     torque, state = ("Tx", "Ty", "Tz"), ("q1", "q2", "q3", "wx", "wy", "wz")
     units = dict.fromkeys(torque, "N m") | dict.fromkeys(state[:3], "1") | dict.fromkeys(state[3:], "rad/s")
-    plant = synth.GeneralizedPlant.tracking(
-        model, Wproc=W.proc, Wdist=W.dist, Werr=W.err, Wact=W.act, Wr=W.ref, u=torque, y=state, units=units
+    return synth.hinfsyn(
+        synth.GeneralizedPlant.tracking(
+            model(), Wproc=W.proc, Wdist=W.dist, Werr=W.err, Wact=W.act, Wr=W.ref, u=torque, y=state, units=units
+        )
     )
-    design = synth.hinfsyn(plant)
+
+
+def design_controllers() -> tuple[synth.Design, dict[str, Any]]:
+    """The verified H-infinity design of table 4, and all controllers by name."""
+    design, nominal = hinfinity(), model()
     limits = np.concatenate([np.full(3, np.inf), np.full(3, cubesat3u.MPC_RATE_LIMIT)])
 
     def predictive(form: str) -> synth.Mpc:
         return synth.mpc(
-            model,
+            nominal,
             Q=cubesat3u.MPC_STATE_WEIGHT * np.eye(6),
             R=cubesat3u.MPC_INPUT_WEIGHT * np.eye(3),
             Np=cubesat3u.MPC_HORIZON,

@@ -57,7 +57,8 @@ def run_plot(
     axes = _axes(ax, len(names), rows=len(names))
     for each, i in zip(axes, shown, strict=False):
         line = each.plot(run.time, run.outputs[:, i], label=label or "output")[0]
-        each.plot(run.time, run.references[:, i], color=line.get_color(), ls="--", label=_join(label, "reference"))
+        named = "reference" in each.get_legend_handles_labels()[1]  # of another run
+        each.plot(run.time, run.references[:, i], "--", color=line.get_color(), label=None if named else "reference")
     for each, i in zip(axes[len(shown) :], sent, strict=True):
         each.step(run.time, run.commands[:, i], where="post", label=label or "command")
     for each, name in zip(axes, names, strict=True):
@@ -104,7 +105,9 @@ def campaign_plot(
         else:
             for i, column in enumerate(values.reshape(len(values), -1).T):
                 _distribution(each, column, _join(label, str(i)) if values.ndim > 1 else label)
-            each.legend(fontsize="small") if each.get_legend_handles_labels()[1] else None
+            each.locator_params(axis="x", nbins=5)
+            if each.get_legend_handles_labels()[1]:
+                each.legend(fontsize="small")
         each.set(title=name, ylim=(-0.02, 1.02))
     for each in axes[::COLUMNS]:
         each.set_ylabel("share of runs")
