@@ -32,7 +32,7 @@ from cubesat3u_claims import BOUNDS, INDICES, worst
 
 from plants import cubesat3u, indices, report
 from plants.study import campaigns
-from synth import LinearController, StateSpace, proportional_derivative, sigma_plot
+from synth import LinearController, StateSpace, proportional_derivative, series, sigma_plot
 
 RUNS = 3  # dispersed starts beside that of table 3
 DURATION, WINDOW = 200.0, 100.0  # s, of a flight, and where its steady state begins
@@ -72,9 +72,10 @@ print(f"levels {cheaper.gamma:.4g} and {dearer.gamma:.4g}; gains of the controll
 # %% [markdown]
 # ## Moving the weight of the torque
 #
-# The cheaper the torque, the more gain, at all frequencies. A PD with a natural frequency of 0.17 rad/s is drawn for
-# comparison; it uses the measured rate, and its gain does not depend on frequency. The H-infinity controllers have
-# six states, and use them to trust the measurements less at low frequency than at high.
+# The cheaper the torque, the more gain, at all frequencies, and the later the open loop crosses one: bandwidth is what
+# the weight buys. The peak at the orbital rate is the libration of a satellite in the gradient of gravity. A PD with a
+# natural frequency of 0.17 rad/s is drawn for comparison; its gain does not depend on frequency. The H-infinity
+# controllers have six states, and use them to trust the measurements less at low frequency than at high.
 
 # %%
 factors = (0.01, 0.1, 1.0, 10.0)
@@ -83,12 +84,14 @@ print(report.text_table(("design", *design.facts), [(name, *each.facts.values())
 
 # %%
 fig, axes = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
-for name, each in designs.items():
-    sigma_plot(each.closed_loop, axes[0], label=name)
-    sigma_plot(each.controller, axes[1], label=name)
 pd = proportional_derivative(cubesat3u.INERTIA, 0.17, 0.8, cubesat3u.CONTROL_PERIOD)
-sigma_plot(StateSpace(pd.A, pd.B, pd.C, pd.D, pd.dt), axes[1], omega=omega, label="PD", color="k", ls="--")
-axes[0].set_title("closed loop, w to z")
+compared = {name: (each.controller, {}) for name, each in designs.items()}
+compared["PD"] = (StateSpace.of((pd.A, pd.B, pd.C, pd.D, pd.dt)), {"color": "k", "ls": "--"})
+for name, (controller, style) in compared.items():
+    sigma_plot(series(study.model(), controller), axes[0], omega=omega, label=name, **style)
+    sigma_plot(controller, axes[1], omega=omega, label=name, **style)
+axes[0].axhline(1, color="k", lw=0.8)
+axes[0].set_title("open loop, at the torque")
 axes[1].set_title("controller, y to u")
 for ax in axes:
     ax.legend(fontsize="small")

@@ -105,7 +105,7 @@ def campaign_plot(
         else:
             for i, column in enumerate(values.reshape(len(values), -1).T):
                 _distribution(each, column, _join(label, str(i)) if values.ndim > 1 else label)
-            each.locator_params(axis="x", nbins=5)
+            each.locator_params(axis="x", nbins=4)
             if each.get_legend_handles_labels()[1]:
                 each.legend(fontsize="small")
         each.set(title=name, ylim=(-0.02, 1.02))
