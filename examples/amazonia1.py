@@ -128,7 +128,7 @@ def table(found: Study) -> Table:
         f"Converged: below {amazonia1.POINTED / DEG:g} deg and {amazonia1.SLOW:g} rad/s over the last "
         f"{amazonia1.TAIL:.0%} of {found.duration:g} s. Both on a grid of {ROW:g} s."
     )
-    return Table("Controllers", HEADERS, rows, note=rules)
+    return Table("Monte Carlo", HEADERS, rows, note=rules)
 
 
 def share(hits: np.ndarray) -> str:
@@ -221,6 +221,21 @@ def drawings(found: Study) -> report.Section:
     return study.drawings("Figure 3", drawn)
 
 
+def cards(found: Study, built: dict[str, Any]) -> list[report.Card]:
+    """Every controller at a glance."""
+    made = []
+    for name, controller in built.items():
+        facts = {"law": type(controller).__name__, "sampling time": f"{controller.dt:g} s"}
+        if hasattr(controller, "gamma_factor"):
+            facts["level over the optimal one"] = f"{controller.gamma_factor:g}"
+        if hasattr(controller, "model"):
+            facts["factorisation"] = type(controller.model).__name__
+        if hasattr(controller, "model") and name in found.campaigns:
+            facts["samples without solution"] = str(found.campaigns[name].results.fallbacks.sum())
+        made.append(report.Card(name, [*facts.items()]))
+    return made
+
+
 def main(arguments: list[str] | None = None) -> int:
     """The command line."""
     fast = "600 s flights and 4 runs"
@@ -228,7 +243,6 @@ def main(arguments: list[str] | None = None) -> int:
     runs, duration = (min(options.runs, 4), 600.0) if options.fast else (options.runs, amazonia1.DURATION)
     found, built = Study(duration), controllers()
     study.carry_out(found, lambda: fly(found, built, runs, options.seed))
-    settings = report.table(("controller", "as"), [(name, repr(c)) for name, c in built.items()])
     return study.conclude(
         found,
         options.out,
@@ -237,7 +251,8 @@ def main(arguments: list[str] | None = None) -> int:
         "CILAMCE 2022",
         tables=[table(found)],
         statements=statements(found),
-        sections=[drawings(found), report.Section("Settings", settings)],
+        cards=cards(found, built),
+        sections=[drawings(found)],
         settings=f"{runs} runs, seed {options.seed}, {duration:g} s flights",
     )
 

@@ -25,6 +25,7 @@ from plants.page_style import CSS
 INK = "#010203"  # stands for the page's text colour while a figure is drawn
 COLOURS = ("#2b7fc3", "#c9660c", "#2b8f4b", "#c2459b", "#8467d0", "#8c7718", "#7a7a7a")
 BOUND = "#d23f38"  # of requirements in figures
+LARGEST = 1.35  # width of a figure on the page over the width it was drawn for
 STYLE: dict[Any, Any] = {
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
@@ -224,7 +225,9 @@ def figure(fig: Figure, caption: str, *, salt: str, alternative: str = "") -> st
     svg = svg[svg.index("<svg") :].replace(INK, "currentColor")
     svg = re.sub(r'<g id="[^"]*"', "<g", svg)  # nothing refers to groups, whose names are the same in all figures
     label = html.escape(alternative or f"Figure: {caption}", quote=True)
-    svg = svg.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
+    width = float(svg.split('width="')[1].split("pt")[0])
+    opening = f'<svg role="img" aria-label="{label}" style="max-width:{LARGEST * width:.0f}pt" '
+    svg = svg.replace("<svg ", opening, 1)
     frame = f'<div class="scroll" role="group" aria-label="figure, may scroll" tabindex="0">{svg}</div>'
     return f"<figure>{frame}<figcaption>{html.escape(caption)}</figcaption></figure>"
 

@@ -241,10 +241,14 @@ def highlights(requirements: Sequence[report.Requirement], claims: Sequence[repo
         found.append((f"{sum(r.met for r in requirements)} of {len(requirements)}", "requirements met"))
         found.append((report.percent(tightest.margin), f"least margin: {tightest.name}"))
     if claims:
-        verdicts = [claim.verdict for claim in claims]
-        measured = len(verdicts) - verdicts.count("not measured")
-        found.append((f"{verdicts.count('holds')} of {measured}", "claims of the paper hold as they stand"))
-        found.append((f"{verdicts.count('does not hold')} of {measured}", "claims do not hold"))
+        verdicts = [claim.verdict for claim in claims if claim.verdict != "not measured"]
+        holds, fails = verdicts.count("holds"), verdicts.count("does not hold")
+        for number, what in (
+            (holds, "hold"),
+            (len(verdicts) - holds - fails, "depend on something"),
+            (fails, "do not"),
+        ):
+            found.append((f"{number} of {len(verdicts)}", f"claims of the paper {what}"))
     return found
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from plants import study
+from plants import report, study
 from plants.study import Statement, Study, Table
 
 
@@ -90,3 +90,23 @@ def test_verdicts_of_two_cases():
     assert study.either(True, True, "luck") == "holds"
     assert study.either(True, False, "luck") == study.either(False, True, "luck") == "depends on luck"
     assert study.either(False, False, "luck") == "does not hold"
+
+
+def test_highlights_count_what_was_measured():
+    requirements = [report.Requirement("APE", 0.1, 0.4, "deg"), report.Requirement("PSE", 0.3, 0.2, "deg")]
+    verdicts = ("holds", "holds", "depends on the axis", "does not hold", "not measured")
+    found = study.highlights(requirements, [report.Claim("", "", verdict, "") for verdict in verdicts])
+    assert [number for number, _ in found] == ["1 of 2", "-50 %", "2 of 4", "1 of 4", "1 of 4"]
+    assert found[1][1] == "least margin: PSE"
+    assert study.highlights([], []) == []
+
+
+def test_requirements_and_cards_are_printed_and_written(tmp_path, capsys):
+    cards = [report.Card("The law", [("gamma", "0.99")], [("k.json", "the file")])]
+    requirements = [report.Requirement("APE", 0.1, 0.4, "deg"), report.Requirement("PSE", 0.3, 0.2, "deg")]
+    assert conclude(Study(complete=True), tmp_path, [], requirements=requirements, cards=cards) == 0
+    page, printed = (tmp_path / "report.html").read_text(), capsys.readouterr().out
+    assert "PSE 0.3 deg (at most 0.2 deg): margin -50 %, NOT MET" in printed
+    assert "+75 %" in page
+    assert "<dd>0.99</dd>" in page
+    assert 'href="k.json" download' in page
