@@ -66,6 +66,8 @@ def run_plot(
     axes[-1].set_xlabel("time, s")
     for first in {0, len(shown)} - {len(axes)}:
         axes[first].legend(fontsize="small")
+    if not run.ok:
+        axes[0].set_title(f"failed at {run.failed_at:g} s: {run.culprit}")
     return axes
 
 

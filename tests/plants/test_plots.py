@@ -1,5 +1,6 @@
 """Pictures of runs and campaigns, judged by the data of their lines; no flight is needed."""
 
+import dataclasses
 from typing import NamedTuple
 
 import matplotlib as mpl
@@ -78,6 +79,12 @@ def test_chosen_columns_on_the_callers_axes_in_the_callers_style(run):
 def test_outputs_alone(run):
     (ax,) = run.plot(outputs=[0], commands=[])
     assert ax.get_legend() is not None
+
+
+def test_a_failed_run_says_so(run):
+    failed = dataclasses.replace(run, ok=False, failed_at=2.5, culprit="controller")
+    assert failed.plot()[0].get_title() == "failed at 2.5 s: controller"
+    assert run.plot()[0].get_title() == ""
 
 
 def test_distributions_count_failed_runs(campaign):
