@@ -246,7 +246,7 @@ def highlights(requirements: Sequence[report.Requirement], claims: Sequence[repo
         for number, what in (
             (holds, "hold"),
             (len(verdicts) - holds - fails, "depend on something"),
-            (fails, "do not"),
+            (fails, "do not hold"),
         ):
             found.append((f"{number} of {len(verdicts)}", f"claims of the paper {what}"))
     return found
