@@ -182,7 +182,7 @@ def requirements_table(requirements: Sequence[Requirement]) -> str:
         bar = f'<span class="bar {mark}" aria-hidden="true"><span style="width:{width:.0f}%"></span></span>'
         verdict = f'<span class="verdict {mark}"><span aria-hidden="true">{sign}</span> {word}</span>'
         rows.append((
-            r.name, f"{r.value:.4g} {r.unit}", f"{'at least' if r.least else 'at most'} {r.bound:.4g} {r.unit}",
+            r.name, f"{r.value:.4g} {r.unit}", r.required,
             Html(f"{percent(r.margin)} {bar}"), Html(verdict),
         ))  # fmt: skip
     headers = ("requirement", "measured", "required", "margin", "verdict")

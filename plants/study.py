@@ -20,6 +20,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
@@ -237,7 +238,7 @@ def highlights(requirements: Sequence[report.Requirement], claims: Sequence[repo
     """What a reader in a hurry sees: (figure, what it counts)."""
     found = []
     if requirements:
-        tightest = min(requirements, key=lambda r: r.margin)
+        tightest = min(requirements, key=lambda r: -np.inf if np.isnan(r.margin) else r.margin)
         found.append((f"{sum(r.met for r in requirements)} of {len(requirements)}", "requirements met"))
         found.append((report.percent(tightest.margin), f"least margin: {tightest.name}"))
     if claims:

@@ -5,7 +5,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from synth import GeneralizedPlant, StateSpace, c2d, hinfsyn, sigma_plot
+from synth import GeneralizedPlant, StateSpace, c2d, hinfsyn, ncfsyn, sigma_plot
 from synth.errors import ModelError
 from synth.plots import frequencies
 
@@ -66,6 +66,16 @@ def test_closed_loop_touches_the_verified_norm_and_stays_below_it(design):
     expected = np.linalg.svd(design.controller.frequency_response(omega[middle]), compute_uv=False)
     np.testing.assert_allclose(gains[:, middle], expected)
     assert controller.get_xlabel() == "frequency, rad/s"
+
+
+def test_a_loop_shaping_design_in_continuous_time():
+    shaped = ncfsyn(StateSpace([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], [[0]]))
+    loop, controller = shaped.plot()
+    curves = [line.get_ydata() for line in loop.lines if len(line.get_xdata()) > 2]
+    assert np.max(curves) == pytest.approx(shaped.verified_norm, rel=1e-6)
+    assert np.max(curves) <= shaped.verified_norm
+    omega = controller.lines[0].get_xdata()
+    assert (np.diff(omega) > 0).all()
 
 
 def test_the_callers_axes_and_style_are_used(design):
