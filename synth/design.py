@@ -33,6 +33,7 @@ FORMAT = "convex-synth design"
 FORMAT_VERSION = 1
 SHAPING = ("W1", "W2", "Ks")  # systems in a file of a loop-shaping design
 ROUNDING = 1e-12  # relative agreement of a controller in a file with the product of its parts
+INFINITE = 1e9  # a continuous peak so many times faster than every pole is one of the direct term
 REMEASURE = 1e-5  # relative agreement of the norm in a file with the norm measured when it is read
 
 
@@ -114,7 +115,8 @@ class Design:
         facts = {"order": f"{self.controller.n} (plant {self.plant.sizes[0]})"}
         facts |= {"sampling time": f"{self.plant.dt:g} s" if self.plant.dt else "continuous"}
         facts |= {"gamma": f"{self.gamma:.7g}", "verified norm": f"{self.verified_norm:.7g}"}
-        facts |= {"peak at": f"{self.info.frequency:.4g} rad/s", "method": self.info.method}
+        beyond = not self.plant.dt and self.info.frequency > INFINITE * np.abs(self.closed_loop.poles()).max(initial=0)
+        facts |= {"peak at": "infinity" if beyond else f"{self.info.frequency:.4g} rad/s", "method": self.info.method}
         return facts | {"plant sha256": self.plant.system.digest()[:16]}
 
     def _repr_html_(self) -> str:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from synth.design import Design
 
 POINTS = 400  # frequencies of a curve
+PEAK = 1e3  # times the highest of them: a peak beyond is not shown
 DECADES = 2.0  # shown below the slowest pole and, in continuous time, above the fastest
 
 
@@ -91,8 +92,9 @@ def design_plot(design: Design, ax: Any = None, *, label: str | None = None, **s
     if ax.size != 2:
         raise ModelError(f"ax holds {ax.size} axes; pass two, for the closed loop and for the controller")
     loop, controller = ax
-    grid = np.union1d(frequencies(design.closed_loop, design.controller), design.info.frequency)
-    grid = grid[grid > 0]
+    grid = frequencies(design.closed_loop, design.controller)
+    if 0 < design.info.frequency <= PEAK * grid[-1]:  # else the peak is at zero or at infinity
+        grid = np.union1d(grid, design.info.frequency)
     sigma_plot(design.closed_loop, loop, omega=grid, label=label or "closed loop", **style)
     color = loop.lines[-1].get_color()  # one for each design
     name = f"{label}, " if label else ""
