@@ -33,7 +33,7 @@ FORMAT = "convex-synth design"
 FORMAT_VERSION = 1
 SHAPING = ("W1", "W2", "Ks")  # systems in a file of a loop-shaping design
 ROUNDING = 1e-12  # relative agreement of a controller in a file with the product of its parts
-INFINITE = 1e9  # a continuous peak so many times faster than every pole is one of the direct term
+INFINITE = 1e6  # a continuous peak so many times faster than every pole is one of the direct term
 REMEASURE = 1e-5  # relative agreement of the norm in a file with the norm measured when it is read
 
 
