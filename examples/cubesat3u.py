@@ -249,19 +249,14 @@ def margins(found: Study) -> list[report.Requirement]:
 
 def save(found: Study, out: Path) -> list[report.Card]:
     """The controllers' files in `out`, and their cards."""
-    out.mkdir(parents=True, exist_ok=True)
-    files = {"json": "with its plant, every bit", "mat": "for MATLAB and Octave"}
-    for ending in files:
-        found.design.save(out / f"hinf.{ending}")
-    cards = [report.Card("H-infinity", [*found.design.facts.items()], [(f"hinf.{e}", t) for e, t in files.items()])]
+    cards = [study.card("H-infinity", found.design, out, "hinf")]
     for form in ("velocity", "position"):
-        controller = found.controllers[f"MPC {form}"]
-        for ending in files:
-            save_mpc(controller, out / f"mpc_{form}.{ending}")
+        controller, files = found.controllers[f"MPC {form}"], [f"mpc_{form}.{ending}" for ending in study.FILES]
+        for file in files:
+            save_mpc(controller, out / file)
         facts = [("form", form), ("sampling time", f"{controller.dt:g} s"), ("horizon", cubesat3u.MPC_HORIZON),
                  ("free moves", cubesat3u.MPC_MOVES), ("solver", "DAQP")]  # fmt: skip
-        named = [(f"mpc_{form}.{e}", "the quadratic program") for e in files]
-        cards.append(report.Card(f"MPC, {form} form", facts, named))
+        cards.append(report.Card(f"MPC, {form} form", facts, [(file, "the quadratic program") for file in files]))
     if HINF in found.nominal:
         indices_figure(found).savefig(out / "indices.png", dpi=120, facecolor="white")
     return cards

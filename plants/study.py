@@ -18,7 +18,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -26,6 +26,7 @@ from tqdm import tqdm
 
 from plants import campaign, report
 
+FILES = {"json": "with its plant, every bit", "mat": "for MATLAB and Octave"}  # that a design writes
 PACKAGES = ("convex-synth", "jax", "numpy", "scipy")  # named at the foot of every page
 INTERRUPTED = 130  # exit code, as of a program ended by Ctrl-C
 
@@ -58,6 +59,19 @@ class Table(NamedTuple):
         """For the page."""
         note = report.paragraph(self.note) if self.note else ""
         return report.Section(self.title, report.table(self.headers, self.rows, marks=self.marks) + note)
+
+
+class Saved(Protocol):
+    """A design that describes itself and writes files, such as `synth.Design`."""
+
+    @property
+    def facts(self) -> Mapping[str, str]:
+        """What a card shows of it."""
+        ...
+
+    def save(self, path: Path) -> Any:
+        """Write to a path that ends with .json or .mat."""
+        ...
 
 
 @dataclass(kw_only=True)
@@ -176,6 +190,15 @@ def drawings(title: str, drawn: Sequence[tuple[Figure, str]]) -> report.Section:
     """A section of figures with their captions."""
     parts = [report.figure(fig, caption, salt=f"{title}{k}") for k, (fig, caption) in enumerate(drawn)]
     return report.Section(title, "".join(parts))
+
+
+def card(name: str, design: Saved, out: Path, stem: str) -> report.Card:
+    """The files of a design, `stem`.json and `stem`.mat in `out`, and its card."""
+    out.mkdir(parents=True, exist_ok=True)
+    files = [(f"{stem}.{ending}", text) for ending, text in FILES.items()]
+    for file, _ in files:
+        design.save(out / file)
+    return report.Card(name, [*design.facts.items()], files)
 
 
 def conclude(

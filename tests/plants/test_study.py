@@ -1,7 +1,7 @@
 """The frame of the studies: options, interruptions, verdicts, and what is printed and written."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -110,3 +110,15 @@ def test_requirements_and_cards_are_printed_and_written(tmp_path, capsys):
     assert "+75 %" in page
     assert "<dd>0.99</dd>" in page
     assert 'href="k.json" download' in page
+
+
+def test_a_design_is_saved_and_has_a_card(tmp_path):
+    class Design:
+        facts: ClassVar = {"gamma": "0.99"}
+
+        def save(self, path):
+            path.write_text(path.suffix)
+
+    made = study.card("The law", Design(), tmp_path / "new", "law")
+    assert made.facts == [("gamma", "0.99")]
+    assert [(tmp_path / "new" / name).read_text() for name, _ in made.files] == [".json", ".mat"]
