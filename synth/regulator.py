@@ -1,4 +1,4 @@
-"""Linear-quadratic regulators: `lqr`, `dlqr`, `lqrd` and `lqg`, with the names and returns of python-control and MATLAB.
+"""Linear-quadratic regulators `lqr`, `dlqr`, `lqrd`, `lqg`, with the names and returns of python-control and MATLAB.
 
 References: Anderson and Moore (1990), Optimal Control: Linear Quadratic Methods; Zhou, Doyle and Glover (1996), Robust
 and Optimal Control, chapter 13; Van Loan (1978), IEEE TAC 23, 395 (the integrals of a sampled cost).
