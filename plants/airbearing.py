@@ -74,7 +74,9 @@ class Outcome(NamedTuple):
 
 def case(target: ArrayLike = TARGET, noise: float = 0.0, torque_limit: float = np.inf, seed: int = 0) -> Case:
     """One run, by default the paper's manoeuvre without noise."""
-    return Case(real("target", target, (3,)), np.float64(noise), np.float64(torque_limit), np.int64(seed))
+    return Case(
+        real("target", target, (3,)), np.array(float(noise)), np.array(float(torque_limit)), np.array(int(seed))
+    )
 
 
 def raw(*, measured: float = 1.0, differenced: float = 0.0) -> RawAngles:
@@ -133,7 +135,7 @@ def outcome(run: Run) -> Outcome:
     """What is kept of a run."""
     if not run.ok:
         worst = np.full(3, np.inf)
-        return Outcome(worst, worst, worst, np.float64(np.inf), np.float64(np.inf))
+        return Outcome(worst, worst, worst, np.array(np.inf), np.array(np.inf))
     target, steady = run.references[0, :3], run.time >= TAIL - 1e-9
     settling, overshoot = step_response(run.time, run.outputs[:, :3], target, SETTLED)
     error = run.outputs[steady, :3] - target
@@ -142,5 +144,5 @@ def outcome(run: Run) -> Outcome:
         overshoot,
         np.sqrt(np.mean(error**2, axis=0)),
         np.sqrt(np.mean(run.inputs[steady] ** 2)),
-        np.abs(run.inputs).max(),
+        np.array(np.abs(run.inputs).max()),
     )

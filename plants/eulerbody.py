@@ -119,7 +119,7 @@ class RandomTorque:
                 raise ScenarioError(f"{name} = {value} s: give a positive number")
         samples = 1 + int(np.ceil(duration / period - 1e-9))
         drawn = np.random.default_rng(seed).standard_normal((samples, 3))
-        return cls(torque=deviation * drawn, period=np.float64(period))
+        return cls(torque=deviation * drawn, period=np.array(float(period)))
 
     def at(self, t: ArrayLike) -> TorqueEnv:
         """The torque at t () s."""

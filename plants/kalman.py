@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
+from numpy.typing import ArrayLike as Guess
 
 from plants.checks import Numbers, real
 from plants.errors import ScenarioError
@@ -102,8 +103,8 @@ def kalman(
     *,
     torque_noise: float,
     rates: bool = True,
-    x: ArrayLike = (0.0,) * 6,
-    deviation: ArrayLike | None = None,
+    x: Guess = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    deviation: Guess | None = None,
 ) -> Kalman:
     """Kalman filter for the given body and sensors.
 
