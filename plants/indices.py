@@ -175,6 +175,26 @@ def settling_time(time: np.ndarray, angle: np.ndarray, threshold: float) -> floa
     return float(time[above[-1] + 1]) if above[-1] + 1 < len(time) else np.inf
 
 
+def step_response(time: np.ndarray, values: np.ndarray, target: ArrayLike, band: float = 0.02) -> tuple[Any, Any]:
+    """Settling time and overshoot of k steps from zero to their targets, recorded together.
+
+    Parameters
+    ----------
+    time : (N,) s
+    values : (N, k)
+    target : (k,) not zero, in the unit of the values
+    band : () of the target, within which a value has settled
+
+    Returns
+    -------
+    settling : (k,) s, infinite for a value that ends outside its band
+    overshoot : (k,) of the target, at least zero
+    """
+    reached = values / np.asarray(target)
+    settling = np.array([settling_time(time, column, band) for column in np.abs(reached - 1).T])
+    return settling, np.maximum(reached.max(axis=0) - 1, 0.0)
+
+
 def clopper_pearson(successes: ArrayLike, runs: ArrayLike, confidence: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
     """Exact interval of a probability from `successes` (...) in `runs` (...) independent runs: (low, high), (...).
 

@@ -1,4 +1,4 @@
-"""Sensors of attitude and rate: sun sensor, magnetometer, gyro, wheel tachometers.
+"""Sensors of attitude and rate: sun sensor, magnetometer, gyro, wheel tachometers; Euler angles and rates at once.
 
 Each is the true quantity in body axes plus white noise, the same on the three axes and independent from sample
 to sample; the gyro adds a bias that walks. Sensors are aligned with the body and see in every direction.
@@ -129,3 +129,33 @@ def attitude_suite(
             bias_walk=real("gyro_bias_walk", gyro_bias_walk, low=0),
         ),
     )
+
+
+class AngleRate(NamedTuple):
+    """One sample of `AngleRateSuite`."""
+
+    angles: Array  # (3,) rad, 3-2-1 Euler angles
+    rate: Array  # (3,) rad/s, body axes
+    wheels: Array  # (3,) rad/s, wheel speeds, exact
+
+
+@dataclass(frozen=True, kw_only=True)
+class AngleRateSuite:
+    """Euler angles and body rates with white noise, tachometers without, for a plant state `angles`, `w`, `wheels`."""
+
+    angle_noise: ArrayLike  # () rad, 1 sigma per angle
+    rate_noise: ArrayLike  # () rad/s, 1 sigma per axis
+
+    @property
+    def channels(self) -> int:
+        """Normal numbers per sample."""
+        return 6
+
+    def init(self) -> tuple[()]:
+        """No state."""
+        return ()
+
+    def measure(self, s: tuple[()], x: Any, env: Any, noise: Array, h: ArrayLike) -> tuple[tuple[()], AngleRate]:
+        """Measure the state x."""
+        del env, h
+        return s, AngleRate(x.angles + self.angle_noise * noise[:3], x.w + self.rate_noise * noise[3:], x.wheels)

@@ -42,14 +42,17 @@ if TYPE_CHECKING:
     from synth.regulator import dlqr as dlqr
     from synth.regulator import lqg as lqg
     from synth.regulator import lqr as lqr
+    from synth.regulator import lqrd as lqrd
     from synth.riccati import care as care
     from synth.riccati import dare as dare
+    from synth.sdc import EulerModel as EulerModel
     from synth.sdc import MrpModel as MrpModel
     from synth.sdc import QuaternionModel as QuaternionModel
     from synth.sdre import Sdre as Sdre
     from synth.sdre import SdreHinf as SdreHinf
     from synth.sdre import SdreHinfPaperLiteral as SdreHinfPaperLiteral
     from synth.sdre import SdreHinfStatic as SdreHinfStatic
+    from synth.sdre import SdreSampled as SdreSampled
     from synth.statespace import StateSpace as StateSpace
     from synth.statespace import c2d as c2d
     from synth.statespace import feedback as feedback
@@ -62,6 +65,7 @@ _HOME = {
     "Certificate": "certify",
     "Controller": "controller",
     "Design": "design",
+    "EulerModel": "sdc",
     "Gap": "gap",
     "GeneralizedPlant": "generalized",
     "InfeasibleError": "errors",
@@ -76,6 +80,7 @@ _HOME = {
     "SdreHinf": "sdre",
     "SdreHinfPaperLiteral": "sdre",
     "SdreHinfStatic": "sdre",
+    "SdreSampled": "sdre",
     "Shaping": "design",
     "StateSpace": "statespace",
     "SynthError": "errors",
@@ -92,6 +97,7 @@ _HOME = {
     "lft": "statespace",
     "lqg": "regulator",
     "lqr": "regulator",
+    "lqrd": "regulator",
     "mpc": "predictive",
     "ncfmargin": "loopshaping",
     "ncfsyn": "loopshaping",

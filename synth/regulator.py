@@ -1,12 +1,12 @@
-"""Linear-quadratic regulators: `lqr`, `dlqr` and `lqg`, with the names and returns of python-control and MATLAB.
+"""Linear-quadratic regulators `lqr`, `dlqr`, `lqrd`, `lqg`, with the names and returns of python-control and MATLAB.
 
 References: Anderson and Moore (1990), Optimal Control: Linear Quadratic Methods; Zhou, Doyle and Glover (1996), Robust
-and Optimal Control, chapter 13.
+and Optimal Control, chapter 13; Van Loan (1978), IEEE TAC 23, 395 (the integrals of a sampled cost).
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg as sla
@@ -52,6 +52,58 @@ def dlqr(A: Any, B: Any, Q: Any, R: Any, N: Any = None) -> tuple[np.ndarray, np.
     circle for the imaginary axis.
     """
     return _regulator(A, B, Q, R, N, discrete=True)
+
+
+class SampledCost(NamedTuple):
+    """x+ = F x + G u, and the cost of one period as x'Q x + u'R u + 2 x'N u, with u held."""
+
+    F: Any  # (n, n)
+    G: Any  # (n, m)
+    Q: Any  # (n, n)
+    R: Any  # (m, m)
+    N: Any  # (n, m)
+
+
+def lqrd(A: Any, B: Any, Q: Any, R: Any, dt: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Regulator u = -K x, held for `dt` s, that minimises the integral of x'Q x + u'R u along dx = A x + B u.
+
+    The continuous gain of `lqr` under a hold can be unstable: it suits periods well below its fastest time constant.
+
+    Parameters
+    ----------
+    A, B, Q, R : as in `lqr`
+    dt : () s, control period, positive
+
+    Returns
+    -------
+    K, S, E : as of `dlqr`, for the sampled model and the cost between the samples
+
+    Raises
+    ------
+    ModelError, AssumptionError, NumericalError : as `lqr`; also for a period that loses stabilisability.
+    """
+    B = as_matrix("B", B)
+    n, m = B.shape
+    A, Q, R = as_matrix("A", A, (n, n)), as_weight("Q", Q, n, definite=False), as_weight("R", R, m, definite=True)
+    if not (np.ndim(dt) == 0 and np.isfinite(dt) and dt > 0):
+        raise ModelError(f"dt is {dt}; pass the control period in seconds")
+    cost = sampled_cost(A, B, Q, R, float(dt))
+    return dlqr(cost.F, cost.G, (cost.Q + cost.Q.T) / 2, (cost.R + cost.R.T) / 2, cost.N)
+
+
+def sampled_cost(A: Any, B: Any, Q: Any, R: Any, dt: Any, *, xp: Any = np, expm: Any = sla.expm) -> SampledCost:
+    """Model and cost of one period `dt` s with the command held, by one exponential (Van Loan).
+
+    With M = [[A, B], [0, 0]] and W = diag(Q, R):  exp([[-M', W], [0, M]] dt) = [[., X], [0, e^M dt]], and the integral
+    of e^M't W e^Mt over the period is (e^M dt)' X. Traceable with `jax.numpy` and its `expm`.
+    """
+    n, m = B.shape
+    M = xp.block([[A, B], [xp.zeros((m, n + m))]])
+    W = xp.block([[Q, xp.zeros((n, m))], [xp.zeros((m, n)), R]])
+    E = expm(xp.block([[-M.T, W], [xp.zeros((n + m, n + m)), M]]) * dt)
+    end = E[n + m :, n + m :]
+    J = end.T @ E[: n + m, n + m :]
+    return SampledCost(end[:n, :n], end[:n, n:], J[:n, :n], J[n:, n:], J[:n, n:])
 
 
 def lqg(G: Any, QXU: Any, QWV: Any) -> StateSpace:

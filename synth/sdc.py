@@ -5,10 +5,12 @@
     Ib dw = -w x (Ib w + hw) + u             equation 23 with u = -g: the wheels take up dhw = g = -u in body axes
     hw = sum of Is (wheel speed + w . a) a   equation 21: of the inertial spin, so that Ib leaves the rotors' spin out
 
-The input u is the torque on the body, N m. The sign of the quaternion is free.
+The input u is the torque on the body, N m. The sign of the quaternion is free. `EulerModel` measures 3-2-1 Euler
+angles instead, y = [roll pitch yaw  wx wy wz  hx hy hz].
 
 References: Romero and Souza (2022), CILAMCE, equations (21) to (26), whose q4 is q0 here; Schaub and Junkins (1996),
-J. Astronautical Sciences 44, 1 (modified Rodrigues parameters and their shadow).
+J. Astronautical Sciences 44, 1 (modified Rodrigues parameters and their shadow); the satellite simulator of INPE,
+"SDRE and Kalman filter", equations (4), (5), (13), (14), see `EulerModel`.
 """
 
 from __future__ import annotations
@@ -115,6 +117,52 @@ class QuaternionModel:
         w = y[4:7]
         q0 = _sign(y[0]) * jnp.maximum(jnp.abs(y[0]), self.floor)
         return _assembled(self, y[1:4], w, y[7:10], -_cross(w) / 2, q0 / 2 * jnp.eye(3))
+
+
+@dataclass(frozen=True, kw_only=True)
+class EulerModel:
+    """x = [angles - target; w], 3-2-1 Euler angles: d angles = E(angles) w, I dw = (I w + hw) x w + u.
+
+    E = [[1, s1 t2, c1 t2], [0, c1, -s1], [0, s1 / c2, c1 / c2]] with s, c, t of roll (1) and pitch (2). At pitch
+    +-90 deg E does not exist. Angles are not wrapped: the way to the target is the one that the angles take.
+    """
+
+    inertia: np.ndarray  # (3, 3) kg m^2
+    inverse: np.ndarray  # (3, 3) 1/(kg m^2)
+    angles: np.ndarray  # (3,) rad, roll, pitch, yaw of the target
+
+    @classmethod
+    def create(cls, inertia: Any, angles: Any = (0.0, 0.0, 0.0)) -> EulerModel:
+        """From the inertia (3, 3) kg m^2 that resists the torque u, and the target (3,) rad.
+
+        Raises
+        ------
+        ModelError : the inertia is not symmetric positive definite, the target's pitch not within 90 deg.
+        """
+        J, target = as_inertia(inertia), np.asarray(angles, float)
+        if target.shape != (3,) or not np.isfinite(target).all():
+            raise ModelError(f"angles is {angles}; pass roll, pitch and yaw of the target in rad")
+        if abs(target[1]) >= np.pi / 2:
+            raise ModelError(f"angles has the pitch {target[1]:.6g} rad; 3-2-1 angles need it within +-pi/2")
+        return cls(inertia=J, inverse=np.linalg.inv(J), angles=target)
+
+    def target(self) -> np.ndarray:
+        """At the target without rates and wheel momentum."""
+        return np.concatenate([self.angles, np.zeros(6)])
+
+    def side(self, y: Any) -> Any:
+        """Always 1: the coordinates are never changed."""
+        return jnp.ones(())
+
+    def factorise(self, y: Any, side: Any) -> tuple[Any, Any, Any]:
+        """[angles - target; w], A and B, (6,), (6, 6), (6, 3)."""
+        (s1, s2, _), (c1, c2, _), o = jnp.sin(y[:3]), jnp.cos(y[:3]), jnp.zeros(())
+        rows = [[o + 1, s1 * s2 / c2, c1 * s2 / c2], [o, c1, -s1], [o, s1 / c2, c1 / c2]]
+        E, w = jnp.stack([jnp.stack(row) for row in rows]), y[3:6]
+        O = jnp.zeros((3, 3))
+        spin = self.inverse @ _cross(self.inertia @ w + y[6:9])
+        A = jnp.concatenate([jnp.concatenate([O, E], 1), jnp.concatenate([O, spin], 1)])
+        return jnp.concatenate([y[:3] - self.angles, w]), A, jnp.concatenate([O, jnp.asarray(self.inverse)])
 
 
 def _sign(a: Any) -> Any:

@@ -24,8 +24,8 @@ from jax import Array
 
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.quaternion import as_period
-from synth.regulator import lqr
-from synth.riccati import closed_loop_rate, continued, stabilising, stabilising_pair
+from synth.regulator import lqr, lqrd, sampled_cost
+from synth.riccati import closed_loop_rate, continued, discrete_stabilising, stabilising, stabilising_pair
 from synth.sdc import Factorisation
 from synth.statespace import as_matrix
 
@@ -101,6 +101,39 @@ class Sdre:
         gain = jnp.where(ok, Kb @ X, state.gain)
         new = SdreState(gain, state.failures + ~ok, jnp.where(ok, X, state.X), jnp.where(ok, state.X, state.before))
         return new, -gain @ x
+
+
+@dataclass(frozen=True, kw_only=True)
+class SdreSampled:
+    """`Sdre` for long periods: the regulator of the model sampled at y, with u held and the same integral as cost.
+
+    u = -(R + G'X G)^-1 (G'X F + N') x, where X solves the discrete Riccati equation of `sampled_cost`. The gains of
+    `Sdre` are those of continuous time, which a hold can make unstable; see `synth.regulator.lqrd`.
+    """
+
+    model: Any  # Factorisation
+    Q: np.ndarray  # (n, n) weight of x
+    R: np.ndarray  # (m, m) weight of u
+    gain: np.ndarray  # (m, n) at rest at the target
+    dt: float  # s
+
+    @classmethod
+    def create(cls, model: Factorisation, dt: float, *, Q: Any = None, R: Any = None) -> SdreSampled:
+        """Parameters and errors of `Sdre.create`."""
+        A, B = _linear(model)
+        Q = np.eye(len(A)) if Q is None else as_matrix("Q", Q)
+        R = np.eye(B.shape[1]) if R is None else as_matrix("R", R)
+        K, _, _ = lqrd(A, B, Q, R, as_period(dt))
+        return cls(model=model, Q=Q, R=R, gain=K, dt=as_period(dt))
+
+    def init(self) -> GainState:
+        """Nothing failed."""
+        return GainState(self.gain, 0)
+
+    def step(self, state: GainState, y: Any, r: Any) -> tuple[GainState, Any]:
+        """(state, y, r) -> (state, u), u (m,) N m."""
+        x, A, B = self.model.factorise(y, self.model.side(y))
+        return _hold(state, x, *sampled_gain(A, B, self.Q, self.R, self.dt))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -243,6 +276,17 @@ class SdreHinfPaperLiteral:
         """(state, y, r) -> (state, u), u (m,) N m."""
         x, A, B = self.model.factorise(y, self.model.side(y))
         return _hold(state, x, *published_gain(A, B, self.shift))
+
+
+@jax.jit
+def sampled_gain(A: Array, B: Array, Q: Any, R: Any, dt: Any) -> tuple[Array, Array]:
+    """The gain of `lqrd` (m, n) and whether it exists; traceable."""
+    F, G, Q, R, N = sampled_cost(A, B, Q, R, dt, xp=jnp, expm=jax.scipy.linalg.expm)
+    S = jnp.linalg.solve(R, jnp.concatenate([N.T, G.T], 1))  # takes the cross weight out
+    RN, RG = S[:, : len(A)], S[:, len(A) :]
+    X, ok = discrete_stabilising(F - G @ RN, G @ RG, Q - N @ RN)
+    K = jnp.linalg.solve(R + G.T @ X @ G, G.T @ X @ F + N.T)
+    return K, ok & jnp.isfinite(K).all()
 
 
 @jax.jit
