@@ -61,6 +61,7 @@ def test_short_periods_lead_to_the_continuous_regulator():
     np.testing.assert_allclose(cost, S, rtol=0, atol=2e-4 * np.abs(S).max())
 
 
+@pytest.mark.slow
 def test_sampled_gain_is_lqrd_at_every_state():
     model, rng = EulerModel.create(INERTIA, TARGET), np.random.default_rng(2)
     Y = np.vstack([model.target(), rng.uniform(-1, 1, (7, 9)) * ([1.2] * 3 + [0.3] * 3 + [0.2] * 3)])
