@@ -83,9 +83,7 @@ def statements(found: Study) -> list[Statement]:
 
     def of_both(converged: bool, slow: bool) -> str:
         """Verdict from those of the honest and of the rate-only test."""
-        if converged == slow:
-            return "holds" if slow else "does not hold"
-        return "depends on the test of convergence"
+        return study.either(converged, slow, "the test of convergence")
 
     def counts() -> str:
         both = {name: found.outcome(name) for name in PAPER}
@@ -128,14 +126,15 @@ def statements(found: Study) -> list[Statement]:
         return verdict, f"converged by quarters of the norm of the Euler angles: {'; '.join(texts)}"
 
     def limit() -> Verdict:
-        texts, within = [], []
+        texts, within = [], {"converged": [], "slow": []}
         for name in PAPER:
             o, size = found.outcome(name), np.linalg.norm(found.drawn.rates[found.campaigns[name].index], axis=1)
             largest = {test: float(size[getattr(o, test)].max(initial=0.0)) for test in ("converged", "slow")}
-            within += [value <= amazonia1.REGION_RATE_NORM for value in largest.values()]
+            for test, value in largest.items():
+                within[test].append(value <= amazonia1.REGION_RATE_NORM)
             texts.append(f"{name} {largest['converged']:.4f} by attitude and rate, {largest['slow']:.4f} by rate only")
         outside = found.load[(np.linalg.norm(found.drawn.rates, axis=1) <= amazonia1.REGION_RATE_NORM)] > 1
-        verdict = "holds" if all(within) else "does not hold"
+        verdict = of_both(*map(all, within.values()))
         return verdict, (
             f"largest |w0| that converged, rad/s: {'; '.join(texts)}. The bound says little: {outside.mean():.0%} of "
             "the initial conditions below it are beyond the momentum of the wheels"
@@ -156,6 +155,21 @@ def statements(found: Study) -> list[Statement]:
         Statement("Both control the whole range of Euler angles", "section 5, figure 3", all_angles),
         Statement("No region of attraction reaches beyond |w0| = 0.0556 rad/s", "section 5", limit),
         Statement("The torque given is smaller than the torque computed", "section 5, figure 2", lack),
+    ]
+
+
+def findings(found: Study, period: float) -> list[str]:
+    """How sharp the bound of momentum is, where runs come so near that it matters."""
+    beyond = {name: found.load[flown.index[found.outcome(name).converged]] for name, flown in found.campaigns.items()}
+    beyond = {name: load[load > 1] for name, load in beyond.items() if (load > 1).any()}
+    if not beyond:
+        return []
+    text = ", ".join(f"{name} {len(load)} (by at most {load.max() - 1:.2%})" for name, load in beyond.items())
+    added = amazonia1.WHEEL_TORQUE * period / amazonia1.MOMENTUM
+    kept = amazonia1.SLOW * np.diag(amazonia1.INERTIA).max() / amazonia1.MOMENTUM
+    return [
+        f"Converged beyond the momentum of the wheels: {text}. The bound is that sharp: a wheel passes its speed limit "
+        f"by what the motor adds in a period, {added:.2%} of it, and the tests let the body keep {kept:.2%}."
     ]
 
 
@@ -284,6 +298,7 @@ def main(arguments: list[str] | None = None) -> int:
         subtitle="LQR and SDRE with wheels that saturate; after Romero and Souza (2022), doi 10.37394/23202.2022.21.9",
         tables=[table(found)],
         statements=statements(found),
+        findings=findings(found, options.period),
         sections=[
             study.drawings("Figures 1 to 3", drawings(found)),
             report.Section("Data", report.links([("region.npz", "initial conditions and outcomes, SI and radians")])),

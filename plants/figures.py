@@ -114,8 +114,8 @@ def scatter(
     with mpl.rc_context(STYLE):
         fig = Figure(figsize=(max(4.6, 3.6 * len(panels)), 3.8), layout="constrained")
         axes = fig.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
+        size = 7.0 if max(len(x) for x, _, _ in panels.values()) <= DENSE else 2.0
         for ax, (title, (x, y, groups)) in zip(axes, panels.items(), strict=True):
-            size = 7.0 if len(x) <= DENSE else 2.0
             for label, mask in groups.items():
                 ax.plot(x[mask], y[mask], ".", ms=size, mew=0, label=label, rasterized=True)
             ax.set_title(title)
@@ -128,7 +128,7 @@ def scatter(
                 ax.axline((0, 0), slope=1, color="#888888", ls="--", lw=0.9)
         axes[0].set_ylabel(ylabel)
         handles, labels = axes[0].get_legend_handles_labels()
-        fig.legend(handles, labels, loc="outside upper left", ncols=min(4, len(labels)), markerscale=2)
+        fig.legend(handles, labels, loc="outside upper left", ncols=min(4, len(labels)), markerscale=10 / size)
         return fig
 
 

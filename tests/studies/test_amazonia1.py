@@ -1,5 +1,6 @@
 """The Amazonia-1 studies from their command lines: tables, claims, files, an interruption, a run flown again."""
 
+import dataclasses
 import re
 
 import amazonia1 as study
@@ -112,6 +113,17 @@ def test_nothing_converges_beyond_the_momentum_of_the_wheels(attracted):
         converged, feasible = s.outcome(name).converged, s.feasible(name)
         assert not (converged & ~feasible).any(), name
         assert (converged & feasible).sum() >= feasible.sum() - 3, name  # the last per cents settle too late
+
+
+def test_runs_beyond_the_bound_are_reported(attracted):
+    s, _, _ = attracted
+    assert region.findings(s, 0.05) == []
+    name = study.SDRE
+    reached = s.load[s.campaigns[name].index[s.outcome(name).converged]].max()
+    shifted = dataclasses.replace(s, load=s.load / reached * 1.002)
+    (text,) = region.findings(shifted, 0.5)
+    assert "SDRE 1 (by at most 0.20%)" in text
+    assert "0.31% of it" in text  # 0.075 N m for 0.5 s, of 12.007 N m s
 
 
 def test_rate_only_lets_sdre_look_larger(attracted):
