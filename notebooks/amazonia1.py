@@ -32,7 +32,7 @@ from plants import amazonia1
 from plants.study import campaigns
 from synth import QuaternionModel, Sdre, SdreHinfStatic, quaternion_lqr
 
-RUNS = 4  # random attitudes, rates and inertias
+RUNS = 3  # random attitudes, rates and inertias
 DURATION = 900.0  # s, of a flight
 
 # %% [markdown]

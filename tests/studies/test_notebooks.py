@@ -35,7 +35,7 @@ def test_percent_script_is_a_notebook(path):
     back = jupytext.reads(jupytext.writes(again, fmt="py:percent"), fmt="py:percent")
     assert [(c.cell_type, c.source) for c in back.cells] == [(c.cell_type, c.source) for c in notebook.cells]
     for name in ("plants", "synth"):
-        assert any(f"from {name} import" in cell.source for cell in again.cells)
+        assert any(f"from {name}" in cell.source for cell in again.cells)
 
 
 @pytest.mark.slow
@@ -56,4 +56,4 @@ def test_every_cell_runs(path, capsys):
 
 
 def test_notebooks_are_there():
-    assert {"amazonia1", "cubesat3u"} <= set(NAMES)
+    assert {"airbearing", "amazonia1", "cubesat3u"} <= set(NAMES)
