@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from synth.design import Info as Info
     from synth.design import Shaping as Shaping
     from synth.errors import AssumptionError as AssumptionError
+    from synth.errors import ExportError as ExportError
     from synth.errors import InfeasibleError as InfeasibleError
     from synth.errors import ModelError as ModelError
     from synth.errors import NumericalError as NumericalError
@@ -61,6 +62,7 @@ _HOME = {
     "Certificate": "certify",
     "Controller": "controller",
     "Design": "design",
+    "ExportError": "errors",
     "Gap": "gap",
     "GeneralizedPlant": "generalized",
     "InfeasibleError": "errors",

@@ -5,7 +5,8 @@ SynthError
  ├─ AssumptionError    the model is sound but no controller can exist: names the assumption
  ├─ InfeasibleError    the asked-for level cannot be reached: carries the best level
  ├─ NumericalError     every route failed: carries the statuses of the solvers
- └─ VerificationError  a controller was found and the independent judge rejected it
+ ├─ VerificationError  a controller was found and the independent judge rejected it
+ └─ ExportError        a sound controller cannot leave in this form, under this name, to this place
 """
 
 
@@ -60,3 +61,7 @@ class NumericalError(SynthError):
 
 class VerificationError(SynthError):
     """A controller was computed but failed its independent verification."""
+
+
+class ExportError(SynthError):
+    """A controller cannot be exported like this; the message names the reason and the remedy."""
