@@ -87,12 +87,14 @@ def _documents(design: Any, format: str, name: str) -> dict[str, bytes]:
 
 def _code(design: Any, format: str, name: str, self_test: bool, **options: Any) -> dict[str, bytes]:
     """The C files, or the FMU made of them."""
-    from synth.errors import ExportError
     from synth.export.c import c_files
     from synth.export.origin import origin_of
     from synth.export.reference import SequentialController
 
-    controller, origin = SequentialController.of(design, **options), origin_of(design)
+    controller = SequentialController.of(design, **options)
+    origin = origin_of(design, controller)
     if format == "c":
         return c_files(controller, origin, name, self_test=self_test)
-    raise ExportError("fmu is not there yet")
+    from synth.export.fmu import fmu_bytes
+
+    return {f"{name}.fmu": fmu_bytes(controller, origin, name, version=int(format[-1]))}

@@ -123,7 +123,7 @@ def _matrices(controller: SequentialController, N: str) -> list[str]:
     ]
     if controller.limited:
         for key, limit in (("umin", controller.umin), ("umax", controller.umax)):
-            parts.append(f"static const {dtype} {key}[{u}] = {{ {', '.join(_number(value) for value in limit)} }};\n")
+            parts.append(f"static const {dtype} {key}[{u}] = {initializer(limit)};\n")
     return parts
 
 
@@ -131,12 +131,16 @@ def _has_direct_term(controller: SequentialController) -> bool:
     return not len(controller.A) or bool(controller.D.any())
 
 
+def initializer(values: np.ndarray) -> str:
+    """A vector as C constants in braces."""
+    return f"{{ {', '.join(_number(value) for value in values)} }}"
+
+
 def _number(value: np.floating) -> str:
     """A C constant that reads back to the same bits: the shortest decimal, with F in single precision."""
     if np.isinf(value):
         return "INFINITY" if value > 0 else "-INFINITY"
-    text = repr(value.item()) if isinstance(value, float) else str(value)
-    return text + ("F" if isinstance(value, np.float32) else "")
+    return f"{value}F" if value.dtype == np.float32 else str(value)
 
 
 def _widths(M: np.ndarray) -> list[int]:

@@ -23,7 +23,8 @@ RESERVED = frozenset(
     # headers of the standard library and of FMI, which a file of the same name would hide
     "assert complex ctype errno fenv inttypes iso646 limits locale math setjmp signal stdalign stdarg stdatomic "
     "stdbool stddef stdint stdio stdlib stdnoreturn string tgmath threads time uchar wchar wctype "
-    "model fmi2 fmi3".split()
+    "model instance fmi2 fmi2functions fmi2functiontypes fmi2typesplatform "
+    "fmi3 fmi3functions fmi3functiontypes fmi3platformtypes".split()
 )
 
 

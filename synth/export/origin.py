@@ -14,7 +14,8 @@ from synth.antiwindup import AntiWindup
 from synth.controller import LinearController
 from synth.design import Design
 from synth.errors import ExportError
-from synth.export.reference import controller_of
+from synth.export.reference import SequentialController, controller_of
+from synth.norms import verify
 
 FORBIDDEN = ("*/", "/*", "\\", "??")  # ends or opens a comment in C, continues a line, begins a trigraph
 
@@ -38,18 +39,23 @@ class Origin:
     outputs: tuple[Signal, ...]  # (m,)
 
 
-def origin_of(source: Any) -> Origin:
+def origin_of(source: Any, exported: SequentialController | None = None) -> Origin:
     """The origin of a Design, or of a controller that comes without a plant.
+
+    Where the exported controller is in single precision, the loop is closed with its rounded matrices and measured.
 
     Raises
     ------
     ExportError : a name, unit or fact has characters that would break an exported file.
+    VerificationError : the rounded controller does not stabilise the design's plant.
     """
     K = controller_of(source)
     inputs = tuple(Signal(f"y{i}", "") for i in range(K.nu))
     outputs = tuple(Signal(f"u{i}", "") for i in range(K.ny))
     if isinstance(source, Design):
         facts = _facts(source)
+        if exported is not None and exported.dtype == "float":
+            facts["rounded"] = _rounded(source, exported)
         if source.shaping is None:  # else y and u of the plant are those of the shaped plant
             P = source.plant
             inputs = tuple(Signal(name, P.units.get(name, "")) for name in P.y)
@@ -88,3 +94,11 @@ def _facts(design: Design) -> dict[str, str]:
     if design.shaping is not None:
         facts["weights"] = f"W1 sha256 {design.shaping.W1.digest()}, W2 sha256 {design.shaping.W2.digest()}"
     return facts
+
+
+def _rounded(design: Design, exported: SequentialController) -> str:
+    """The loop measured again with the controller's matrices rounded to float; its arithmetic rounds on top."""
+    if design.shaping is not None:
+        return "to float; not measured again, because the design holds only its shaped plant"
+    measured = verify(design.plant.close(exported.system))
+    return f"to float; H-infinity norm {measured.norm!r}, spectral radius {measured.spectral_radius!r}"
