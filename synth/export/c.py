@@ -100,7 +100,7 @@ def _signals(symbol: str, signals: Sequence[Signal], controller: SequentialContr
     for i, signal in enumerate(signals):
         line = f"{symbol}[{i}]  {signal}"
         if controller is not None and controller.limited:
-            line += f"  in [{_number(controller.umin[i])}, {_number(controller.umax[i])}]"
+            line += f"  in [{controller.umin[i]!s}, {controller.umax[i]!s}]"
         lines.append(line)
     return lines
 
@@ -140,7 +140,7 @@ def _number(value: np.floating) -> str:
     """A C constant that reads back to the same bits: the shortest decimal, with F in single precision."""
     if np.isinf(value):
         return "INFINITY" if value > 0 else "-INFINITY"
-    return f"{value}F" if value.dtype == np.float32 else str(value)
+    return str(value) + "F" if value.dtype == np.float32 else str(value)
 
 
 def _widths(M: np.ndarray) -> list[int]:
