@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from synth.errors import NumericalError as NumericalError
     from synth.errors import SynthError as SynthError
     from synth.errors import VerificationError as VerificationError
+    from synth.export.reference import SequentialController as SequentialController
     from synth.gap import Gap as Gap
     from synth.gap import gapmetric as gapmetric
     from synth.generalized import GeneralizedPlant as GeneralizedPlant
@@ -77,6 +78,7 @@ _HOME = {
     "SdreHinf": "sdre",
     "SdreHinfPaperLiteral": "sdre",
     "SdreHinfStatic": "sdre",
+    "SequentialController": "export.reference",
     "Shaping": "design",
     "StateSpace": "statespace",
     "SynthError": "errors",

@@ -62,7 +62,8 @@ def write_all(folder: str | os.PathLike[str], files: Mapping[str, bytes], *, for
             raise ExportError(f"{path.name} is a folder; pass another name")
         if path.exists() and not force:
             raise ExportError(f"{path.name} exists; pass force=True to replace it, or another name")
-    folder.mkdir(parents=True, exist_ok=True)
+    for path in targets:
+        path.parent.mkdir(parents=True, exist_ok=True)
     before = {path: path.read_bytes() if path.exists() else None for path in targets}
     try:
         for path, content in targets.items():
