@@ -9,6 +9,9 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from synth.acceptance import Acceptance as Acceptance
+    from synth.acceptance import Requirements as Requirements
+    from synth.acceptance import accept as accept
     from synth.antiwindup import AntiWindup as AntiWindup
     from synth.certify import Certificate as Certificate
     from synth.controller import Controller as Controller
@@ -23,6 +26,7 @@ if TYPE_CHECKING:
     from synth.errors import InfeasibleError as InfeasibleError
     from synth.errors import ModelError as ModelError
     from synth.errors import NumericalError as NumericalError
+    from synth.errors import SpecificationError as SpecificationError
     from synth.errors import SynthError as SynthError
     from synth.errors import VerificationError as VerificationError
     from synth.export.reference import SequentialController as SequentialController
@@ -51,6 +55,12 @@ if TYPE_CHECKING:
     from synth.sdre import SdreHinf as SdreHinf
     from synth.sdre import SdreHinfPaperLiteral as SdreHinfPaperLiteral
     from synth.sdre import SdreHinfStatic as SdreHinfStatic
+    from synth.specification import Study as Study
+    from synth.specification import read_study as read_study
+    from synth.stabilitymargins import Margins as Margins
+    from synth.stabilitymargins import diskmargin as diskmargin
+    from synth.stabilitymargins import margin as margin
+    from synth.stabilitymargins import margins as margins
     from synth.statespace import StateSpace as StateSpace
     from synth.statespace import c2d as c2d
     from synth.statespace import feedback as feedback
@@ -58,6 +68,7 @@ if TYPE_CHECKING:
     from synth.statespace import series as series
 
 _HOME = {
+    "Acceptance": "acceptance",
     "AntiWindup": "antiwindup",
     "AssumptionError": "errors",
     "Certificate": "certify",
@@ -69,23 +80,29 @@ _HOME = {
     "InfeasibleError": "errors",
     "Info": "design",
     "LinearController": "controller",
+    "Margins": "stabilitymargins",
     "ModelError": "errors",
     "Mpc": "predictive",
     "MrpModel": "sdc",
     "NumericalError": "errors",
     "QuaternionModel": "sdc",
+    "Requirements": "acceptance",
     "Sdre": "sdre",
     "SdreHinf": "sdre",
     "SdreHinfPaperLiteral": "sdre",
     "SdreHinfStatic": "sdre",
     "SequentialController": "export.reference",
     "Shaping": "design",
+    "SpecificationError": "errors",
     "StateSpace": "statespace",
+    "Study": "specification",
     "SynthError": "errors",
     "VerificationError": "errors",
+    "accept": "acceptance",
     "c2d": "statespace",
     "care": "riccati",
     "dare": "riccati",
+    "diskmargin": "stabilitymargins",
     "dlqr": "regulator",
     "feedback": "statespace",
     "gapmetric": "gap",
@@ -95,6 +112,8 @@ _HOME = {
     "lft": "statespace",
     "lqg": "regulator",
     "lqr": "regulator",
+    "margin": "stabilitymargins",
+    "margins": "stabilitymargins",
     "mpc": "predictive",
     "ncfmargin": "loopshaping",
     "ncfsyn": "loopshaping",
@@ -102,6 +121,7 @@ _HOME = {
     "quaternion_lqr": "quaternion",
     "quaternion_pd": "quaternion",
     "quaternion_pid": "quaternion",
+    "read_study": "specification",
     "series": "statespace",
     "state_feedback": "controller",
     "verify": "norms",

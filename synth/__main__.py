@@ -6,6 +6,7 @@ Only `argparse` is imported here: help is instant. What a command does is in `sy
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 
 EPILOG = """\
@@ -120,7 +121,7 @@ def main(arguments: list[str] | None = None) -> int:
         print("synth: interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:  # the reader of a pipe has seen enough
-        sys.stderr.close()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
 
 

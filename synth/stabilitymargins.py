@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 
 from synth.errors import ModelError
 from synth.loopshaping import ncfmargin
@@ -284,7 +284,7 @@ def _unit_angles(M: np.ndarray, N: np.ndarray) -> np.ndarray:
     return np.unique(np.abs(np.angle(alpha[near] / beta[near])))
 
 
-def _polished(angles: np.ndarray, function) -> list[float]:
+def _polished(angles: np.ndarray, function: Any) -> list[float]:
     """Zeros of a function near the angles: bracketed where it changes sign, as they are where it does not."""
     found = []
     for angle in angles:
@@ -292,7 +292,7 @@ def _polished(angles: np.ndarray, function) -> list[float]:
         while width < 1e-2 * max(angle, 1e-4):
             low, high = max(angle - width, 0.0), min(angle + width, np.pi)
             if function(low) * function(high) < 0:
-                angle = brentq(function, low, high, xtol=1e-15, rtol=1e-14)
+                angle = root_scalar(function, bracket=(low, high), xtol=1e-15).root
                 break
             width *= 10
         found.append(float(angle))
