@@ -26,7 +26,7 @@ from synth.design import Design
 from synth.errors import ExportError, ModelError, SynthError
 from synth.export.reference import SequentialController
 from synth.generalized import GeneralizedPlant
-from synth.norms import spectral_radius, verify
+from synth.norms import is_stable, spectral_radius, verify
 from synth.stabilitymargins import Margins, margins
 from synth.statespace import StateSpace, c2d, common_timebase, series
 from synth.threads import one_thread
@@ -81,7 +81,7 @@ class Acceptance:
     """What the gate measured."""
 
     conditions: tuple[Condition, ...]
-    margins: Margins | None  # None for an unstable loop
+    margins: Margins | None  # None for a loop that is unstable or cannot be judged
     level: float  # the designed level that the ratios refer to: gamma, or the verified norm if that is larger
     dt: float  # s, sampling time of the loop that was measured
 
@@ -150,10 +150,13 @@ def accept(
     lines += _single_precision(P, K, level, requirements.ratio * max(held, 1.0))
     if umin is not None or umax is not None:
         lines.append(_saturation(P, K, umin, umax, antiwindup, overload))
-    found = None
+    found, reason = None, "the loop is unstable"
     if lines[1].stable is not False and first.stable:
-        found = margins(inner(P), K, sign=1)
-    return Acceptance((*lines, *_margins(found, requirements)), found, level, P.dt)
+        try:
+            found = margins(inner(P), K, sign=1)
+        except SynthError as error:
+            reason = str(error)
+    return Acceptance((*lines, *_margins(found, requirements, reason)), found, level, P.dt)
 
 
 def _loop(design: Any, plant: Any) -> tuple[GeneralizedPlant, StateSpace, float | None]:
@@ -193,10 +196,13 @@ def _measured(
     name: str, P: GeneralizedPlant, K: StateSpace, level: float | None, limit: float | None, note: str = ""
 ) -> Condition:
     """Close the loop and let the judge measure it."""
+    stable = False
     try:
-        norm = verify(P.close(K)).norm
+        closed_loop = P.close(K)
+        stable = is_stable(closed_loop)
+        norm = verify(closed_loop).norm
     except SynthError as error:
-        return Condition(name, False, stable=False, note=str(error))
+        return Condition(name, False, stable, note=str(error))
     ratio = None if level is None else norm / level if level > 0 else 1.0
     kept = limit is None or ratio is None or ratio <= limit
     return Condition(name, kept, True, norm, ratio, note if kept else f"at most {limit:g} is required")
@@ -224,7 +230,7 @@ def _single_precision(P, K, level, limit) -> Iterator[Condition]:
     linear, single = simulate(G, exact, start, samples), simulate(G, rounded, start, samples)
     size = np.abs(linear.v).max(axis=0)
     off = float((np.abs(single.v - linear.v).max(axis=0) / np.where(size > 0, size, 1.0)).max())
-    fine = off <= RETURNED and (single.returned(linear) or not covered)
+    fine = off <= RETURNED and (single.returned(linear.peaks()) or not covered)
     note = f"commands differ by at most {off:.1e} of their peaks" + ("" if covered else _short(samples))
     yield Condition("float32 arithmetic", fine, fine, note=note)
 
@@ -236,21 +242,25 @@ class Response:
     y: np.ndarray  # (samples, p)
     v: np.ndarray  # (samples, m) commands, after their limits
 
-    def returned(self, linear: Response) -> bool:
-        """Whether the last twentieth stays below 1 % of the linear response's peaks."""
-        tail = -max(len(self.y) // TIME_CONSTANTS, 1)
-        pairs = ((self.y, linear.y), (self.v, linear.v))
-        return all(bool((np.abs(M[tail:]).max(0) <= RETURNED * np.abs(N).max(0)).all()) for M, N in pairs)
+    def peaks(self) -> np.ndarray:
+        """Largest value of every measurement and command, (p + m,)."""
+        return np.abs(np.hstack([self.y, self.v])).max(axis=0)
+
+    def returned(self, peaks: np.ndarray) -> bool:
+        """Whether the last twentieth stays below 1 % of the peaks of the linear loop."""
+        tail = max(len(self.y) // TIME_CONSTANTS, 1)
+        return bool((Response(self.y[-tail:], self.v[-tail:]).peaks() <= RETURNED * peaks).all())
 
 
 def simulate(G: StateSpace, controller: SequentialController, start: np.ndarray, samples: int) -> Response:
     """The loop of a plant (float64, without direct term) and a controller stepped as the exported C steps it."""
     x, state = start, controller.init()
     y, v = np.empty((samples, G.ny)), np.empty((samples, G.nu))
-    for k in range(samples):
-        y[k] = G.C @ x
-        state, v[k] = controller.update(state, y[k])
-        x = G.A @ x + G.B @ v[k]
+    with np.errstate(over="ignore", invalid="ignore"):  # a response that grows without bound has not returned
+        for k in range(samples):
+            y[k] = G.C @ x
+            state, v[k] = controller.update(state, y[k])
+            x = G.A @ x + G.B @ v[k]
     return Response(y, v)
 
 
@@ -303,11 +313,12 @@ def _saturation(P, K, umin, umax, antiwindup, overload) -> Condition:
         return Condition(name, False, note=DIRECT)
     starts = overload * _starts(G, K, np.minimum(limited.umax, -limited.umin))
     signs = (1,) if np.array_equal(limited.umax, -limited.umin) else (1, -1)  # a loop with like limits is odd
+    peaks = np.max([simulate(G, linear, x, samples).peaks() for x in starts], axis=0) if len(starts) else np.zeros(1)
     failed = [
         f"{'-+'[sign > 0]}x{int(np.flatnonzero(x)[0])}"
         for sign in signs
         for x in starts
-        if not simulate(G, limited, sign * x, samples).returned(simulate(G, linear, sign * x, samples))
+        if not simulate(G, limited, sign * x, samples).returned(peaks)
     ]
     ending = (
         f"not back after {samples} samples from {', '.join(failed)}" if failed else f"back within {samples} samples"
@@ -316,7 +327,7 @@ def _saturation(P, K, umin, umax, antiwindup, overload) -> Condition:
     return Condition(name, not failed, not failed, note=note)
 
 
-def _margins(found: Margins | None, required: Requirements) -> Iterator[Condition]:
+def _margins(found: Margins | None, required: Requirements, reason: str) -> Iterator[Condition]:
     """The margins kept, beside those required."""
     values = {
         "gain margin": (found and found.gain_db, required.gain_margin_db, "dB", "one loop at a time"),
@@ -329,7 +340,7 @@ def _margins(found: Margins | None, required: Requirements) -> Iterator[Conditio
     }  # fmt: skip
     for name, (value, least, unit, meaning) in values.items():
         if value is None:
-            yield Condition(name, False, note="not measured: the loop is unstable")
+            yield Condition(name, False, note=f"not measured: {reason}")
             continue
         text = f"{value:.4g} {unit}".strip() + f" ({meaning})" + (f"; required {least:g}" if least else "")
         yield Condition(name, least is None or value >= least, note=text, required=least is not None)

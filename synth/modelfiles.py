@@ -26,7 +26,7 @@ from synth import design as designs
 from synth.design import Design, write_atomically
 from synth.errors import ModelError
 from synth.generalized import GeneralizedPlant
-from synth.statespace import StateSpace
+from synth.statespace import StateSpace, as_matrix
 
 SYSTEM = "convex-synth system"
 CONTROLLER = "convex-synth controller"
@@ -116,14 +116,21 @@ def as_model(data: dict[str, Any]) -> GeneralizedPlant | Model:
     for key, value in labels.items():
         if not isinstance(value, dict if key == "units" else list):
             raise ModelError(f"{key} is {value!r}; pass {'names and units' if key == 'units' else 'a list of names'}")
-    matrices = {name: data[name] for name in wanted}
+    matrices: dict[str, Any] = {name: data[name] if name == "dt" else _matrix(name, data[name]) for name in wanted}
+    names: dict[str, Any] = {key: tuple(value) for key, value in labels.items() if key != "units"}
+    units = dict(labels.get("units", {}))
     try:
         if nine:
-            return GeneralizedPlant(**matrices, **{k: dict(v) if k == "units" else tuple(v) for k, v in labels.items()})
-        names = {k: tuple(labels.get(k, ())) for k in ("u", "y")}
-        return Model(StateSpace(**matrices), **names, units=labels.get("units", {}))
+            return GeneralizedPlant(**matrices, **names, units=units)
+        return Model(StateSpace(**matrices), names.get("u", ()), names.get("y", ()), units)
     except (TypeError, ValueError) as error:
         raise error if isinstance(error, ModelError) else ModelError(f"the system is damaged: {error}") from None
+
+
+def _matrix(name: str, value: Any) -> Any:
+    """A matrix, or what stands for one without rows or columns."""
+    rows = isinstance(value, list | np.ndarray)
+    return value if rows and not any(np.size(row) for row in value) else as_matrix(name, value)
 
 
 def save_system(path: str | os.PathLike[str], model: Model | StateSpace | GeneralizedPlant) -> Path:

@@ -125,6 +125,11 @@ def _plant(table: Table, folder: Path) -> tuple[GeneralizedPlant | StateSpace | 
         if len(table.problems) == before:
             table.problems.append(f"{table.path}: {error}")
         plant = None
+    if isinstance(plant, StateSpace):
+        for key, size in (("u", plant.nu), ("y", plant.ny)):
+            if about[key] and len({*about[key]}) != size:
+                table.wrong(key, f"expected {size} different names, found {len({*about[key]})}")
+                about[key] = ()
     table.close()
     return plant, about
 

@@ -169,5 +169,5 @@ def _shape(shape: Iterable[int | None]) -> str:
 
 
 def _hint(word: str, known: Iterable[str]) -> str:
-    near = difflib.get_close_matches(word, list(known), 1)
+    near = difflib.get_close_matches(word, list(known), 1, cutoff=0.5)
     return f"; did you mean {near[0]!r}?" if near else ""
