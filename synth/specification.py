@@ -5,7 +5,8 @@
     [synthesis]       problem = "tracking", "generalized" or "loopshaping"; method, gamma; for loop shaping also
                       gamma_factor, and feedback = "negative" for a controller that acts on r - y
     [weights]         tracking: Wproc, Wdist, Werr, Wact, Wr; loop shaping: W1, W2 (matrices or tables A, B, C, D)
-    [specifications]  max_norm; the fields of `Requirements`; umin, umax, overload; dt of a continuous design
+    [specifications]  max_norm; the fields of `Requirements`; umin, umax, overload; antiwindup = true for the
+                      conditioned controller of a loop-shaping design; dt of a continuous design
 
 A matrix is a list of rows, {diag = [...]}, or a number, which stands for that multiple of the identity. The file is
 checked as a whole: all mistakes are told at once, each with its path.
@@ -19,7 +20,10 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from synth.acceptance import Acceptance, Requirements, accept, sampled
+from synth.antiwindup import AntiWindup
 from synth.design import Design
 from synth.errors import ModelError, SpecificationError, SynthError
 from synth.generalized import GeneralizedPlant
@@ -56,7 +60,10 @@ class Study:
             return None
         limited = "umin" in self.gate or "umax" in self.gate
         plant = four_block(self.plant) if isinstance(self.plant, StateSpace) and limited else None
-        return accept(design, plant, requirements=self.requirements, **self.gate)
+        gate = dict(self.gate)
+        if gate.pop("antiwindup", False):
+            gate["antiwindup"] = AntiWindup.of(design, gate.get("umin", -np.inf), gate.get("umax", np.inf)).L
+        return accept(design, plant, requirements=self.requirements, **gate)
 
     def missed(self, design: Design, accepted: Acceptance | None) -> list[str]:
         """What the design does not meet, in words."""
@@ -259,7 +266,10 @@ def _specifications(table: Table, m: int | None) -> tuple[Requirements, dict[str
         "overload": table.number("overload", above=1),
         "umin": table.vector("umin", m),
         "umax": table.vector("umax", m),
+        "antiwindup": table.boolean("antiwindup") or None,
     }
+    if gate["antiwindup"] and gate["umin"] is None and gate["umax"] is None:
+        table.wrong("antiwindup", "there are no limits; give umin and umax")
     max_norm = table.number("max_norm", above=0)
     table.close()
     given = {key: value for key, value in gate.items() if value is not None}

@@ -102,6 +102,7 @@ def test_verify(synth):
     assert len(found["margins"]["input"]) == 3
 
 
+@pytest.mark.slow
 def test_verify_on_another_plant(synth):
     code, out, _ = synth("verify", "controller.json", "--plant", "plant.json", "--negative")
     assert code == 0
@@ -135,6 +136,7 @@ def test_export(synth, tmp_path):
     assert read(tmp_path / "plain.json").system.digest() == read("controller.json").system.digest()
 
 
+@pytest.mark.slow
 def test_compare(synth, tmp_path):
     arguments = ("compare", "cubesat.json", "relaxed.json", "shaped.json", "--plot", str(tmp_path / "a.svg"))
     code, out, _ = synth(*arguments)
@@ -154,6 +156,7 @@ def test_compare(synth, tmp_path):
     assert (code, "saved as .svg or .png" in err) == (2, True)
 
 
+@pytest.mark.slow
 def test_the_study_of_the_cubesat(synth, tmp_path):
     target = str(tmp_path / "hinf.json")
     code, out, err = synth("design", str(STUDY), "-o", target)

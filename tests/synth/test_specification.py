@@ -52,6 +52,10 @@ def test_loop_shaping_study(tmp_path):
     accepted = study.accept(design)
     assert accepted.passed
     assert study.missed(design, accepted) == []
+    clipped = study_of(SHAPING + "umin = -1\numax = 1\n", tmp_path)
+    assert any("A - L C has spectral radius" in text for text in clipped.missed(design, clipped.accept(design)))
+    conditioned = study_of(SHAPING + "umin = -1\numax = 1\nantiwindup = true\n", tmp_path)
+    assert conditioned.accept(design).passed
     wanting = study_of(
         SHAPING.replace("ncf_margin = 0.1", "ncf_margin = 0.9\nmax_norm = 1.0\numin = -1\numax = 1"), tmp_path
     )
@@ -153,6 +157,7 @@ Wr = 1
         ("tracking", "generalized", "plant: the problem 'generalized' needs a plant with A, B1, B2, ..., D22"),
         ('problem = "tracking"', "", "synthesis.problem: missing; one of tracking, generalized, loopshaping"),
         ("dt = 0.5", 'file = "no.json"', "plant.file: no.json: there is no such file"),
+        ("Wr = 1", "Wr = 1\n[specifications]\nantiwindup = true", "specifications.antiwindup: there are no limits"),
         ("Wr = 1", "Wr = 1\n[specifications]\numin = [1, 2]", "specifications.umin: expected 1 numbers, found 2"),
     ],
 )
