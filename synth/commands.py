@@ -37,6 +37,8 @@ CODES = {
     ModelError: BAD_INPUT,
 }
 
+OPTIONS = {"force=True": "--force", "allow_unstable=True": "--allow-unstable"}  # what messages call them in Python
+
 
 def run(options: argparse.Namespace) -> int:
     """Run the command that was asked for; returns its exit code."""
@@ -49,6 +51,8 @@ def run(options: argparse.Namespace) -> int:
         if options.debug:
             traceback.print_exc()
         where = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) else str(error)
+        for argument, option in OPTIONS.items():
+            where = where.replace(argument, option)
         print(f"synth {options.command}: {where}", file=sys.stderr)
         return next((code for kind, code in CODES.items() if isinstance(error, kind)), BAD_INPUT)
 

@@ -127,7 +127,7 @@ def test_export(synth, tmp_path):
     again = ("export", "cubesat.json", "--format", "c", "-o", str(tmp_path), "--name", "attitude")
     code, _, err = synth(*again)
     assert code == 2
-    assert "exists" in err
+    assert "exists; pass --force to replace it" in err
     assert synth(*again, "--force", "--umin=-1,-1,-2", "--umax=2", "--json")[0] == 0
     assert "in [-2" in (tmp_path / "attitude.h").read_text()
     assert synth("export", "shaped.json", "--format", "json", "-o", str(tmp_path), "--name", "copy")[0] == 0
