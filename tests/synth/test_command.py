@@ -313,3 +313,11 @@ def test_systems_keep_every_bit_names_and_units(folder):
     assert (again.w, again.u, again.z, again.y, again.units) == (plant.w, plant.u, plant.z, plant.y, plant.units)
     model = read(folder / "plant.json")
     assert (model.u, model.y, model.units) == (("force",), ("position",), {"force": "N"})
+
+
+def test_an_interrupted_command_ends_with_130(synth, monkeypatch):
+    def interrupted(options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("synth.commands.run", interrupted)
+    assert synth("info", "plant.json") == (130, "", "synth: interrupted\n")
