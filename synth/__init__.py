@@ -9,6 +9,9 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from synth.acceptance import Acceptance as Acceptance
+    from synth.acceptance import Requirements as Requirements
+    from synth.acceptance import accept as accept
     from synth.antiwindup import AntiWindup as AntiWindup
     from synth.certify import Certificate as Certificate
     from synth.controller import Controller as Controller
@@ -19,11 +22,14 @@ if TYPE_CHECKING:
     from synth.design import Info as Info
     from synth.design import Shaping as Shaping
     from synth.errors import AssumptionError as AssumptionError
+    from synth.errors import ExportError as ExportError
     from synth.errors import InfeasibleError as InfeasibleError
     from synth.errors import ModelError as ModelError
     from synth.errors import NumericalError as NumericalError
+    from synth.errors import SpecificationError as SpecificationError
     from synth.errors import SynthError as SynthError
     from synth.errors import VerificationError as VerificationError
+    from synth.export.reference import SequentialController as SequentialController
     from synth.gap import Gap as Gap
     from synth.gap import gapmetric as gapmetric
     from synth.generalized import GeneralizedPlant as GeneralizedPlant
@@ -53,6 +59,12 @@ if TYPE_CHECKING:
     from synth.sdre import SdreHinfPaperLiteral as SdreHinfPaperLiteral
     from synth.sdre import SdreHinfStatic as SdreHinfStatic
     from synth.sdre import SdreSampled as SdreSampled
+    from synth.specification import Study as Study
+    from synth.specification import read_study as read_study
+    from synth.stabilitymargins import Margins as Margins
+    from synth.stabilitymargins import diskmargin as diskmargin
+    from synth.stabilitymargins import margin as margin
+    from synth.stabilitymargins import margins as margins
     from synth.statespace import StateSpace as StateSpace
     from synth.statespace import c2d as c2d
     from synth.statespace import feedback as feedback
@@ -60,34 +72,43 @@ if TYPE_CHECKING:
     from synth.statespace import series as series
 
 _HOME = {
+    "Acceptance": "acceptance",
     "AntiWindup": "antiwindup",
     "AssumptionError": "errors",
     "Certificate": "certify",
     "Controller": "controller",
     "Design": "design",
     "EulerModel": "sdc",
+    "ExportError": "errors",
     "Gap": "gap",
     "GeneralizedPlant": "generalized",
     "InfeasibleError": "errors",
     "Info": "design",
     "LinearController": "controller",
+    "Margins": "stabilitymargins",
     "ModelError": "errors",
     "Mpc": "predictive",
     "MrpModel": "sdc",
     "NumericalError": "errors",
     "QuaternionModel": "sdc",
+    "Requirements": "acceptance",
     "Sdre": "sdre",
     "SdreHinf": "sdre",
     "SdreHinfPaperLiteral": "sdre",
     "SdreHinfStatic": "sdre",
     "SdreSampled": "sdre",
+    "SequentialController": "export.reference",
     "Shaping": "design",
+    "SpecificationError": "errors",
     "StateSpace": "statespace",
+    "Study": "specification",
     "SynthError": "errors",
     "VerificationError": "errors",
+    "accept": "acceptance",
     "c2d": "statespace",
     "care": "riccati",
     "dare": "riccati",
+    "diskmargin": "stabilitymargins",
     "dlqr": "regulator",
     "feedback": "statespace",
     "gapmetric": "gap",
@@ -98,6 +119,8 @@ _HOME = {
     "lqg": "regulator",
     "lqr": "regulator",
     "lqrd": "regulator",
+    "margin": "stabilitymargins",
+    "margins": "stabilitymargins",
     "mpc": "predictive",
     "ncfmargin": "loopshaping",
     "ncfsyn": "loopshaping",
@@ -105,6 +128,7 @@ _HOME = {
     "quaternion_lqr": "quaternion",
     "quaternion_pd": "quaternion",
     "quaternion_pid": "quaternion",
+    "read_study": "specification",
     "series": "statespace",
     "sigma_plot": "plots",
     "state_feedback": "controller",

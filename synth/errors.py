@@ -2,10 +2,12 @@
 
 SynthError
  ├─ ModelError         the data is not a model: NaN, wrong shape, wrong timebase
+ │   └─ SpecificationError   a study file has mistakes: carries all of them, with their paths
  ├─ AssumptionError    the model is sound but no controller can exist: names the assumption
  ├─ InfeasibleError    the asked-for level cannot be reached: carries the best level
  ├─ NumericalError     every route failed: carries the statuses of the solvers
- └─ VerificationError  a controller was found and the independent judge rejected it
+ ├─ VerificationError  a controller was found and the independent judge rejected it
+ └─ ExportError        a sound controller cannot leave in this form, under this name, to this place
 """
 
 
@@ -15,6 +17,21 @@ class SynthError(Exception):
 
 class ModelError(SynthError, ValueError):
     """The data given is not a valid model; the message names the field, the value and the remedy."""
+
+
+class SpecificationError(ModelError):
+    """A study file has mistakes; the message has all of them, one a line.
+
+    Attributes
+    ----------
+    problems : tuple of str, each with the path of the key, for example ``"plant.A[2][3]: expected a number"``
+    """
+
+    def __init__(self, name: str, problems: list[str]):
+        listed = problems[0] if len(problems) == 1 else "".join(f"\n  {text}" for text in problems)
+        count = "" if len(problems) == 1 else f"{len(problems)} mistakes:"
+        super().__init__(f"{name}: {count}{listed}")
+        self.problems = tuple(problems)
 
 
 class AssumptionError(SynthError):
@@ -60,3 +77,7 @@ class NumericalError(SynthError):
 
 class VerificationError(SynthError):
     """A controller was computed but failed its independent verification."""
+
+
+class ExportError(SynthError):
+    """A controller cannot be exported like this; the message names the reason and the remedy."""

@@ -34,7 +34,7 @@ def save_mpc(controller: Mpc, path: str | os.PathLike[str]) -> Path:
     path = Path(path)
     content = document(controller)
     if path.suffix == ".json":
-        return write_atomically(path, json.dumps(_json(content), indent=1, allow_nan=False).encode())
+        return write_atomically(path, json.dumps(jsonable(content), indent=1, allow_nan=False).encode())
     if path.suffix == ".mat":
         buffer = io.BytesIO()
         scipy.io.savemat(buffer, {"mpc": content}, oned_as="column", long_field_names=True)
@@ -64,12 +64,12 @@ def document(controller: Mpc) -> dict[str, Any]:
     }
 
 
-def _json(value: Any) -> Any:
+def jsonable(value: Any) -> Any:
     """Arrays as lists, absent limits as None."""
     if isinstance(value, dict):
-        return {key: _json(item) for key, item in value.items()}
+        return {key: jsonable(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
-        return [_json(item) for item in value]
+        return [jsonable(item) for item in value]
     if isinstance(value, float | np.floating):
         return float(value) if abs(value) < FREE else None
     return value

@@ -1,0 +1,129 @@
+"""The `synth` command: look into controller files, accept, export, compare and design. `synth --help` says more.
+
+Only `argparse` is imported here: help is instant. What a command does is in `synth.commands`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+
+EPILOG = """\
+exit codes:
+  0    done, and everything required is met
+  1    a controller fails its verification, or a requirement is missed
+  2    bad input: options, files, models, or a controller that cannot leave in this form
+  3    no controller exists: an assumption fails, or the level asked for cannot be reached
+  4    no route to a solution worked (numerical trouble)
+  130  interrupted
+"""
+
+
+class Parser(argparse.ArgumentParser):
+    """Errors in one line."""
+
+    def error(self, message: str):
+        """Say what is wrong and where help is."""
+        self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+class Version(argparse.Action):
+    """`--version`, looked up when asked for."""
+
+    def __call__(self, parser, *_):
+        """Print the version of the installed package."""
+        from importlib import metadata
+
+        print(f"synth {metadata.version('convex-synth')}")
+        parser.exit()
+
+
+def limits(text: str) -> list[float]:
+    """Numbers between commas."""
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number, nor numbers between commas") from None
+
+
+def add_limits(parser: argparse.ArgumentParser) -> None:
+    """The options of saturation."""
+    parser.add_argument("--umin", type=limits, metavar="U[,U...]", help="lower limit of the commands (--umin=-1,-2)")
+    parser.add_argument("--umax", type=limits, metavar="U[,U...]", help="upper limit of the commands")
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """All commands and their options."""
+    parser = Parser(
+        prog="synth", description="Verified controllers: design, look, accept, export, compare.",
+        epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("--version", action=Version, nargs=0, help="print the version and exit")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    def command(name: str, text: str) -> argparse.ArgumentParser:
+        sub = commands.add_parser(
+            name, help=text, description=text, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
+        )
+        sub.add_argument("--json", action="store_true", help="print JSON instead of text")
+        sub.add_argument("--debug", action="store_true", help="show the traceback of an error")
+        return sub
+
+    info = command("info", "say what is in a file: order, channels, gamma, verified norm, provenance")
+    info.add_argument("files", nargs="+", metavar="FILE", help="design, controller or plant (.json, .mat)")
+
+    verify = command("verify", "acceptance gate: hold, delay, saturation, float32 and margins, measured again")
+    verify.add_argument("files", nargs="+", metavar="FILE", help="design (.json), or controller with --plant")
+    verify.add_argument("--plant", metavar="FILE", help="generalised plant, or plain plant (its four-block norm)")
+    verify.add_argument("--negative", action="store_true", help="with a plain --plant: the controller acts on r - y")
+    verify.add_argument("--dt", type=float, help="sampling time in s of a continuous design")
+    add_limits(verify)
+    verify.add_argument("--antiwindup", action="store_true", help="with limits: conditioned loop-shaping controller")
+    verify.add_argument("--overload", type=float, default=2.0, help="peak demand over the limits (default 2)")
+    for option, unit in (
+        ("ratio", "norm over the designed level (default 1.01)"), ("delay-ratio", "... with one sample of delay"),
+        ("gain-margin-db", "dB, one loop at a time"), ("phase-margin-deg", "degrees, one loop at a time"),
+        ("delay-margin-samples", "samples, one loop at a time"), ("disk-margin", "alpha"), ("ncf-margin", "0 to 1"),
+    ):  # fmt: skip
+        verify.add_argument(f"--{option}", type=float, metavar="X", help=f"require: {unit}")
+
+    export = command("export", "write a controller for elsewhere: C99, FMU, MATLAB, JSON")
+    export.add_argument("files", nargs=1, metavar="FILE", help="design or controller (.json)")
+    export.add_argument("--format", required=True, choices=("c", "fmu2", "fmu3", "mat", "json"))
+    export.add_argument("-o", "--output", required=True, metavar="DIR", help="folder, made if it is missing")
+    export.add_argument("--name", default="controller", help="of files and C functions (default controller)")
+    export.add_argument("--force", action="store_true", help="replace files that exist")
+    export.add_argument("--allow-unstable", action="store_true", help="export a controller with unstable poles")
+    export.add_argument("--float", action="store_true", help="single precision")
+    add_limits(export)
+    export.add_argument("--antiwindup", action="store_true", help="with limits: conditioned loop-shaping controller")
+
+    compare = command("compare", "compare designs: norms, margins, gaps, order, conditioning")
+    compare.add_argument("files", nargs="+", metavar="FILE", help="designs (.json), the first is the reference")
+    compare.add_argument("--plot", metavar="FILE", help="singular values, .svg or .png")
+
+    design = command("design", "design from a TOML file, verify, and save")
+    design.add_argument("files", nargs=1, metavar="STUDY.toml")
+    design.add_argument("-o", "--output", metavar="FILE", help="design file, .json or .mat; default STUDY.json")
+    design.add_argument("--force", action="store_true", help="replace a file that exists")
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    options = make_parser().parse_args(arguments)
+    try:
+        from synth import commands
+
+        return commands.run(options)
+    except KeyboardInterrupt:
+        print("synth: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # the reader of a pipe has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

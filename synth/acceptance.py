@@ -1,0 +1,346 @@
+"""The acceptance gate: the controller as it leaves, measured again under what a processor and actuators do to it.
+
+Every condition closes the loop anew and measures it with the judge of `norms`; the norm is that of the plant's
+channels from w to z. Nothing is taken from the synthesis.
+
+    designed              the controller as it is in the file
+    zero-order hold       a continuous design: plant held, controller by Tustin's method, at the sampling time given
+    one sample of delay   the command acts one sample later
+    float32 numbers       every coefficient rounded to single precision, exact arithmetic
+    float32 arithmetic    simulated beside float64, both as the exported C steps: largest difference of the commands
+    saturation            simulated from displaced plant states, scaled so that the linear loop asks `overload` times
+                          the limits at its peak; measurements and commands must come back below 1 % of their peaks
+
+Saturation is judged by these simulations alone: they refute a controller, and prove nothing about other starts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from synth.design import Design
+from synth.errors import ExportError, ModelError, SynthError
+from synth.export.reference import SequentialController
+from synth.generalized import GeneralizedPlant
+from synth.norms import is_stable, spectral_radius, verify
+from synth.stabilitymargins import Margins, margins
+from synth.statespace import StateSpace, c2d, common_timebase, series
+from synth.threads import one_thread
+
+RETURNED = 1e-2  # of the linear response's peak
+TIME_CONSTANTS = 20  # of the slowest pole of the linear loop, that a response is given to return
+LONGEST = 20_000  # samples of a simulation
+EXACT = 1.01  # ratio of the norm up to which it is called kept, as in `hinfsyn`
+DIRECT = "not simulated: the plant has a direct term D22, so that measurement and command would wait for each other"
+HELD = "part of the discrete plant as it was modelled: nothing to measure"
+COMMANDED = 1e-12  # a start whose commands stay below this part of the largest demands nothing
+
+
+@dataclass(frozen=True)
+class Requirements:
+    """What is asked of a controller besides stability under every condition; None asks nothing."""
+
+    ratio: float = EXACT  # of the norm to the designed level, as designed and in float32
+    delay_ratio: float | None = None  # ... with one sample of delay
+    gain_margin_db: float | None = None  # smallest of all loops, one at a time
+    phase_margin_deg: float | None = None  # smallest of all loops, one at a time
+    delay_margin_samples: float | None = None  # smallest of all loops, one at a time
+    disk_margin: float | None = None  # smaller alpha of plant input and output
+    ncf_margin: float | None = None
+
+    def __post_init__(self):
+        for name, value in vars(self).items():
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise ModelError(f"{name} is {value!r}; require a positive number, or None for nothing")
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One line of the gate's table."""
+
+    name: str
+    passed: bool
+    stable: bool | None = None  # None where it does not apply
+    norm: float | None = None  # from w to z, units of the plant
+    ratio: float | None = None  # of the norm to the designed level
+    note: str = ""
+    required: bool = True  # False for what is only reported
+
+    @property
+    def verdict(self) -> str:
+        """In one word."""
+        return ("pass" if self.required else "-") if self.passed else "FAIL"
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """What the gate measured."""
+
+    conditions: tuple[Condition, ...]
+    margins: Margins | None  # None for a loop that is unstable or cannot be judged
+    level: float  # the designed level that the ratios refer to: gamma, or the verified norm if that is larger
+    dt: float  # s, sampling time of the loop that was measured
+
+    @property
+    def passed(self) -> bool:
+        """Whether every condition is met."""
+        return all(c.passed for c in self.conditions)
+
+
+@one_thread
+def accept(
+    design: Any,
+    plant: Any = None,
+    *,
+    dt: float | None = None,
+    umin: Any = None,
+    umax: Any = None,
+    antiwindup: Any = None,
+    overload: float = 2.0,
+    requirements: Requirements | None = None,
+) -> Acceptance:
+    """Measure a controller as it leaves: hold, delay, single precision, saturation and margins.
+
+    Parameters
+    ----------
+    design : Design, or a controller u = K y (positive feedback) that comes without a plant
+    plant : GeneralizedPlant to measure it on; None for the design's own. On a loop-shaping design's own plant W2 G W1
+        it is Ks that is measured, since the file does not hold G; with a plant it is W1 Ks W2
+    dt : sampling time in s of a continuous design, which is needed: conditions of a processor are those of samples
+    umin, umax : number or (m,) limits of the commands; None leaves saturation out
+    antiwindup : (n, m) gain of the exported controller, see `export`
+    overload : peak demand of the linear loop in the saturated simulations, over the limits
+    requirements : see `Requirements`
+
+    Returns
+    -------
+    Acceptance : with one `Condition` per line; nothing is raised for a controller that fails
+
+    Raises
+    ------
+    ModelError : a continuous design without `dt`, sizes that do not fit, limits or requirements that make no sense.
+    """
+    requirements = requirements or Requirements()
+    P, K, level = _loop(design, plant)
+    if not (np.isfinite(overload) and overload > 1):
+        raise ModelError(f"overload is {overload!r}; pass a number above 1, or the commands would not saturate")
+    if isinstance(design, Design) and design.shaping and plant is None and not (umin is None and umax is None):
+        raise ModelError(
+            "umin and umax limit the command u, but the file of a loop-shaping design holds the shaped plant W2 G W1 "
+            "only; pass the plant (four_block(G)) as well"
+        )
+    first = _measured("designed", P, K, level, requirements.ratio)
+    level = level or first.norm or np.inf
+    lines = [replace(first, ratio=first.norm / level if first.norm is not None else None)]
+    if P.dt == 0:
+        if dt is None:
+            raise ModelError("the design is continuous; pass dt, the sampling time in s at which it will run")
+        P, K = sampled(P, dt), c2d(K, dt, "tustin")
+        lines.append(_measured("zero-order hold", P, K, level, None, "sampled, w held; controller by Tustin"))
+    else:
+        if dt is not None and not np.isclose(dt, P.dt):
+            raise ModelError(f"dt = {dt:g} s is given, but the design has one of {P.dt:g} s; leave dt away")
+        lines.append(Condition("zero-order hold", first.passed, note=HELD, required=False))
+    held = lines[-1].ratio or 1.0  # rounding is judged against what holding left of the level
+    lines.append(_measured("one sample of delay", P, delayed(K), level, requirements.delay_ratio))
+    lines += _single_precision(P, K, level, requirements.ratio * max(held, 1.0))
+    if umin is not None or umax is not None:
+        lines.append(_saturation(P, K, umin, umax, antiwindup, overload))
+    found, reason = None, "the loop is unstable"
+    if lines[1].stable is not False and first.stable:
+        try:
+            found = margins(inner(P), K, sign=1)
+        except SynthError as error:
+            reason = str(error)
+    return Acceptance((*lines, *_margins(found, requirements, reason)), found, level, P.dt)
+
+
+def _loop(design: Any, plant: Any) -> tuple[GeneralizedPlant, StateSpace, float | None]:
+    """The plant, the controller that closes it, and the level it was designed for (on its own plant)."""
+    if isinstance(design, Design) and plant is None:
+        K = design.shaping.Ks if design.shaping else design.controller
+        return design.plant, K, max(design.gamma, design.verified_norm)
+    if not isinstance(plant, GeneralizedPlant):
+        raise ModelError("the controller comes without a plant; pass a GeneralizedPlant (four_block(G) for a plain G)")
+    K = design.controller if isinstance(design, Design) else StateSpace.of(design)
+    common_timebase(plant.system, K)
+    _, _, m, _, p = plant.sizes
+    if (K.ny, K.nu) != (m, p):
+        raise ModelError(f"the controller is {K.ny} x {K.nu}; the plant needs {m} x {p} (controls x measurements)")
+    return plant, K, None
+
+
+def inner(P: GeneralizedPlant) -> StateSpace:
+    """What the controller sees of the plant: from u to y."""
+    return StateSpace(P.A, P.B2, P.C2, P.D22, P.dt)
+
+
+def sampled(P: GeneralizedPlant, dt: float) -> GeneralizedPlant:
+    """A continuous plant with all inputs held over `dt` s and all outputs sampled."""
+    _, _, m, _, p = P.sizes
+    held = GeneralizedPlant.partition(c2d(P.system, dt), p, m)
+    return replace(held, w=P.w, u=P.u, z=P.z, y=P.y, units=P.units)
+
+
+def delayed(K: StateSpace) -> StateSpace:
+    """A discrete system whose outputs come one sample later."""
+    m = K.ny
+    return series(K, StateSpace(np.zeros((m, m)), np.eye(m), np.eye(m), np.zeros((m, m)), K.dt))
+
+
+def _measured(
+    name: str, P: GeneralizedPlant, K: StateSpace, level: float | None, limit: float | None, note: str = ""
+) -> Condition:
+    """Close the loop and let the judge measure it."""
+    stable = False
+    try:
+        closed_loop = P.close(K)
+        stable = is_stable(closed_loop)
+        norm = verify(closed_loop).norm
+    except SynthError as error:
+        return Condition(name, False, stable, note=str(error))
+    ratio = None if level is None else norm / level if level > 0 else 1.0
+    kept = limit is None or ratio is None or ratio <= limit
+    return Condition(name, kept, True, norm, ratio, note if kept else f"at most {limit:g} is required")
+
+
+def _single_precision(P, K, level, limit) -> Iterator[Condition]:
+    """Rounded coefficients, then rounded arithmetic."""
+    try:
+        rounded = SequentialController.of(K, dtype="float", allow_unstable=True)
+        exact = SequentialController.of(K, allow_unstable=True)
+    except ExportError as error:
+        yield Condition("float32 numbers", False, note=str(error))
+        return
+    numbers = _measured("float32 numbers", P, rounded.system, level, limit)
+    yield numbers
+    if not numbers.stable:
+        yield Condition("float32 arithmetic", False, False, note="not simulated: the loop is unstable")
+        return
+    G = inner(P)
+    if G.D.any():
+        yield Condition("float32 arithmetic", False, note=DIRECT)
+        return
+    samples, covered = _horizon(P, K)
+    start = _starts(G, K, np.ones(K.ny)).sum(axis=0)
+    linear, single = simulate(G, exact, start, samples), simulate(G, rounded, start, samples)
+    size = np.abs(linear.v).max(axis=0)
+    off = float((np.abs(single.v - linear.v).max(axis=0) / np.where(size > 0, size, 1.0)).max())
+    fine = off <= RETURNED and (single.returned(linear.peaks()) or not covered)
+    note = f"commands differ by at most {off:.1e} of their peaks" + ("" if covered else _short(samples))
+    yield Condition("float32 arithmetic", fine, fine, note=note)
+
+
+@dataclass(frozen=True)
+class Response:
+    """A simulated loop without exogenous inputs."""
+
+    y: np.ndarray  # (samples, p)
+    v: np.ndarray  # (samples, m) commands, after their limits
+
+    def peaks(self) -> np.ndarray:
+        """Largest value of every measurement and command, (p + m,)."""
+        return np.abs(np.hstack([self.y, self.v])).max(axis=0)
+
+    def returned(self, peaks: np.ndarray) -> bool:
+        """Whether the last twentieth stays below 1 % of the peaks of the linear loop."""
+        tail = max(len(self.y) // TIME_CONSTANTS, 1)
+        return bool((Response(self.y[-tail:], self.v[-tail:]).peaks() <= RETURNED * peaks).all())
+
+
+def simulate(G: StateSpace, controller: SequentialController, start: np.ndarray, samples: int) -> Response:
+    """The loop of a plant (float64, without direct term) and a controller stepped as the exported C steps it."""
+    x, state = start, controller.init()
+    y, v = np.empty((samples, G.ny)), np.empty((samples, G.nu))
+    with np.errstate(over="ignore", invalid="ignore"):  # a response that grows without bound has not returned
+        for k in range(samples):
+            y[k] = G.C @ x
+            state, v[k] = controller.update(state, y[k])
+            x = G.A @ x + G.B @ v[k]
+    return Response(y, v)
+
+
+def _horizon(P: GeneralizedPlant, K: StateSpace) -> tuple[int, bool]:
+    """Samples to simulate, and whether they cover the time constants that a response is given."""
+    radius = spectral_radius(P.close(K).A)
+    needed = TIME_CONSTANTS / -np.log(radius) if 0 < radius < 1 else LONGEST if radius >= 1 else 1
+    return int(min(max(np.ceil(needed), 50), LONGEST)), needed <= LONGEST
+
+
+def _short(samples: int) -> str:
+    return f"; only {samples} samples simulated, fewer than {TIME_CONSTANTS} time constants"
+
+
+def _starts(G: StateSpace, K: StateSpace, limits: np.ndarray) -> np.ndarray:
+    """Plant states (any, n) to start from, one displaced at a time: those that the controller answers.
+
+    Each is scaled so that the linear loop's largest command, over its limit, is one.
+    """
+    A = np.block([[G.A + G.B @ K.D @ G.C, G.B @ K.C], [K.B @ G.C, K.A]])
+    C, X = np.hstack([K.D @ G.C, K.C]) / limits[:, None], np.eye(G.n + K.n)[:, : G.n]
+    largest = np.zeros(G.n)
+    for _ in range(LONGEST):
+        largest = np.maximum(largest, np.abs(C @ X).max(axis=0))
+        X = A @ X
+        if np.abs(C @ X).max(initial=0.0) <= COMMANDED * largest.max(initial=0.0) and np.abs(X).max(initial=0.0) < 1:
+            break
+    answered = largest > COMMANDED * largest.max(initial=0.0)
+    return np.diag(1 / np.where(answered, largest, np.inf))[answered]
+
+
+def _saturation(P, K, umin, umax, antiwindup, overload) -> Condition:
+    """Simulate the limited loop from every displaced state, both ways."""
+    name = "saturation"
+    G = inner(P)
+    try:
+        options: dict[str, Any] = {"umin": umin, "umax": umax, "antiwindup": antiwindup}
+        limited = SequentialController.of(K, allow_unstable=True, **options)
+    except ExportError as error:
+        return Condition(name, False, False, note=str(error))
+    linear = SequentialController.of(K, allow_unstable=True)
+    if not limited.limited:
+        raise ModelError(f"umin = {umin}, umax = {umax} limit nothing; pass finite limits, or leave them away")
+    if (limited.umin >= 0).any() or (limited.umax <= 0).any():
+        raise ModelError(f"umin = {limited.umin.tolist()}, umax = {limited.umax.tolist()}; zero must lie between them")
+    samples, covered = _horizon(P, K)
+    if not covered:
+        return Condition(name, False, note="not judged" + _short(samples))
+    if G.D.any():
+        return Condition(name, False, note=DIRECT)
+    starts = overload * _starts(G, K, np.minimum(limited.umax, -limited.umin))
+    signs = (1,) if np.array_equal(limited.umax, -limited.umin) else (1, -1)  # a loop with like limits is odd
+    peaks = np.max([simulate(G, linear, x, samples).peaks() for x in starts], axis=0) if len(starts) else np.zeros(1)
+    failed = [
+        f"{'-+'[sign > 0]}x{int(np.flatnonzero(x)[0])}"
+        for sign in signs
+        for x in starts
+        if not simulate(G, limited, sign * x, samples).returned(peaks)
+    ]
+    ending = (
+        f"not back after {samples} samples from {', '.join(failed)}" if failed else f"back within {samples} samples"
+    )
+    note = f"{len(starts) * len(signs)} starts that ask {overload:g} times the limits, {ending}"
+    return Condition(name, not failed, not failed, note=note)
+
+
+def _margins(found: Margins | None, required: Requirements, reason: str) -> Iterator[Condition]:
+    """The margins kept, beside those required."""
+    values = {
+        "gain margin": (found and found.gain_db, required.gain_margin_db, "dB", "one loop at a time"),
+        "phase margin": (found and found.phase_deg, required.phase_margin_deg, "deg", "one loop at a time"),
+        "delay margin": (
+            found and found.delay / found.dt, required.delay_margin_samples, "samples", "one loop at a time"
+        ),
+        "disk margin": (found and found.disk, required.disk_margin, "", "alpha, all inputs or all outputs at once"),
+        "ncf margin": (found and found.ncf, required.ncf_margin, "", "between 0 and 1"),
+    }  # fmt: skip
+    for name, (value, least, unit, meaning) in values.items():
+        if value is None:
+            yield Condition(name, False, note=f"not measured: {reason}")
+            continue
+        text = f"{value:.4g} {unit}".strip() + f" ({meaning})" + (f"; required {least:g}" if least else "")
+        yield Condition(name, least is None or value >= least, note=text, required=least is not None)

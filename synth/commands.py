@@ -1,0 +1,315 @@
+"""What the commands of `synth` do: read files, measure, print, and turn errors into one line and an exit code."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import traceback
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from synth.antiwindup import AntiWindup
+from synth.design import Design
+from synth.errors import (
+    AssumptionError,
+    ExportError,
+    InfeasibleError,
+    ModelError,
+    NumericalError,
+    SynthError,
+    VerificationError,
+)
+from synth.generalized import GeneralizedPlant
+from synth.modelfiles import Model, read
+from synth.statespace import StateSpace
+
+DONE, MISSED, BAD_INPUT, NO_CONTROLLER, NUMERICAL = range(5)
+CODES = {
+    VerificationError: MISSED,
+    AssumptionError: NO_CONTROLLER,
+    InfeasibleError: NO_CONTROLLER,
+    NumericalError: NUMERICAL,
+    ExportError: BAD_INPUT,
+    ModelError: BAD_INPUT,
+}
+
+OPTIONS = {"force=True": "--force", "allow_unstable=True": "--allow-unstable"}  # what messages call them in Python
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command that was asked for; returns its exit code."""
+    commands = {"info": info, "verify": verify, "export": export, "compare": compare, "design": design}
+    try:
+        return commands[options.command](options)
+    except BrokenPipeError:
+        raise
+    except (SynthError, OSError) as error:
+        if options.debug:
+            traceback.print_exc()
+        where = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) else str(error)
+        for argument, option in OPTIONS.items():
+            where = where.replace(argument, option)
+        print(f"synth {options.command}: {where}", file=sys.stderr)
+        return next((code for kind, code in CODES.items() if isinstance(error, kind)), BAD_INPUT)
+
+
+def load(file: str) -> Design | GeneralizedPlant | Model:
+    """`read` with the file's name in front of what is wrong."""
+    try:
+        return read(file)
+    except SynthError as error:
+        error.args = (f"{file}: {error}",)
+        raise
+
+
+def print_json(value: Any) -> None:
+    """JSON without infinite numbers, which become null."""
+    print(json.dumps(finite(value), indent=1, allow_nan=False))
+
+
+def finite(value: Any) -> Any:
+    """The value with null in the place of what JSON cannot say."""
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value
+
+
+def table(rows: list[list[str]]) -> str:
+    """Rows in aligned columns, the first one a heading."""
+    widths = [max(len(row[j]) for row in rows) for j in range(len(rows[0]))]
+    rows = [rows[0], ["-" * width for width in widths], *rows[1:]]
+    return "\n".join("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+
+
+def number(value: float | None) -> str:
+    """Five digits, or a dash for what was not measured."""
+    return "-" if value is None or np.isnan(value) else f"{value:.5g}"
+
+
+def info(options: argparse.Namespace) -> int:
+    """`synth info`."""
+    found = [{"file": file, **facts(load(file))} for file in options.files]
+    if options.json:
+        print_json(found)
+        return DONE
+    for i, item in enumerate(found):
+        print(("\n" if i else "") + item.pop("file"))
+        for key, value in item.items():
+            if isinstance(value, dict):
+                value = ", ".join(f"{k} {v}" for k, v in value.items())
+            elif isinstance(value, list):
+                value = ", ".join(map(str, value))
+            print(f"  {key.replace('_', ' '):18} {value if not isinstance(value, float) else format(value, '.9g')}")
+    return DONE
+
+
+def facts(item: Design | GeneralizedPlant | Model) -> dict[str, Any]:
+    """What is to be said about a file."""
+    if isinstance(item, Model):
+        G = item.system
+        signals = {key: labels(getattr(item, key), item.units) for key in ("u", "y")}
+        return {"kind": "system", "order": G.n, **timebase(G.dt), **signals, "sha256": G.digest()}
+    if isinstance(item, GeneralizedPlant):
+        signals = {key: labels(getattr(item, key), item.units) for key in "wuzy"}
+        sha256 = item.system.digest()
+        return {"kind": "generalised plant", "order": item.sizes[0], **timebase(item.dt), **signals, "sha256": sha256}
+    P, K, about = item.plant, item.controller, item.info
+    data: dict[str, Any] = {"kind": "loop-shaping design" if item.shaping else "design", "order": K.n}
+    data |= timebase(K.dt)
+    if item.shaping:  # y and u of the plant are those of the shaped plant
+        data |= {"measurements": [f"y{i}" for i in range(K.nu)], "controls": [f"u{i}" for i in range(K.ny)]}
+    else:
+        data |= {"measurements": labels(P.y, P.units), "controls": labels(P.u, P.units)}
+    data |= {
+        "plant_order": P.sizes[0],
+        "exogenous": labels(P.w, P.units),
+        "regulated": labels(P.z, P.units),
+        "gamma": item.gamma,
+        "verified_norm": item.verified_norm,
+        "peak_frequency": about.frequency,
+        "spectral_radius" if P.dt else "largest_real_part": about.spectral_radius,
+        "method": about.method,
+        "solver": about.solver,
+        "status": about.status,
+        "date": about.date,
+        "versions": dict(about.versions),
+        "controller_sha256": K.digest(),
+        "plant_sha256": P.system.digest(),
+    }
+    return data
+
+
+def labels(names: tuple[str, ...], units: Any) -> list[str]:
+    """Names with their units."""
+    return [f"{name} [{units[name]}]" if name in units else name for name in names]
+
+
+def timebase(dt: float) -> dict[str, Any]:
+    """The sampling time, and in words."""
+    return {"dt": dt, "time": f"discrete, every {dt:g} s" if dt else "continuous"}
+
+
+def verify(options: argparse.Namespace) -> int:
+    """`synth verify`."""
+    from synth.acceptance import Acceptance, Requirements, accept
+
+    names = ("delay_ratio", "gain_margin_db", "phase_margin_deg", "delay_margin_samples", "disk_margin", "ncf_margin")
+    required = Requirements(**{name: getattr(options, name) for name in names})
+    if options.ratio is not None:
+        required = replace(required, ratio=options.ratio)
+    plant = None if options.plant is None else plant_of(load(options.plant), options.plant, options.negative)
+    if plant is None and options.negative:
+        raise ModelError("--negative is about a plain --plant; give one")
+    found: dict[str, Acceptance] = {}
+    for file in options.files:
+        item = load(file)
+        if isinstance(item, GeneralizedPlant):
+            raise ModelError(f"{file}: this is a plant; pass a design, or a controller with --plant")
+        if isinstance(item, Model) and plant is None:
+            raise ModelError(f"{file}: the controller comes without a plant; pass --plant")
+        controller = item.system if isinstance(item, Model) else item
+        umin, umax = limits_of(options)
+        try:
+            found[file] = accept(
+                controller, plant, dt=options.dt, umin=umin, umax=umax, antiwindup=gain_of(item, options),
+                overload=options.overload, requirements=required,
+            )  # fmt: skip
+        except SynthError as error:
+            error.args = (f"{file}: {error}",)
+            raise
+    if options.json:
+        print_json([{"file": file, **acceptance_data(a)} for file, a in found.items()])
+    else:
+        print("\n\n".join(f"{file}\n{acceptance_text(a)}" for file, a in found.items()))
+    return DONE if all(a.passed for a in found.values()) else MISSED
+
+
+def plant_of(item: Any, file: str, negative: bool) -> GeneralizedPlant:
+    """A generalised plant, or the four-block problem of a plain one."""
+    from synth.loopshaping import four_block
+
+    if isinstance(item, Design):
+        item = item.plant
+    if isinstance(item, GeneralizedPlant):
+        if negative:
+            raise ModelError(f"{file}: --negative is about a plain plant; a generalised one says itself what y is")
+        return item
+    G = item.system
+    return four_block(StateSpace(G.A, G.B, -G.C, -G.D, G.dt) if negative else G)
+
+
+def limits_of(options: argparse.Namespace) -> tuple[Any, Any]:
+    """The limits as a number for all commands, or one for each."""
+    given = (options.umin, options.umax)
+    umin, umax = (value[0] if value is not None and len(value) == 1 else value for value in given)
+    return umin, umax
+
+
+def gain_of(item: Any, options: argparse.Namespace) -> Any:
+    """The anti-windup gain of a loop-shaping design, if it is asked for."""
+    if not options.antiwindup:
+        return None
+    umin, umax = limits_of(options)
+    if not isinstance(item, Design) or (umin is None and umax is None):
+        raise ModelError("--antiwindup needs a loop-shaping design, and --umin and --umax")
+    return AntiWindup.of(item, -np.inf if umin is None else umin, np.inf if umax is None else umax).L
+
+
+def acceptance_data(found: Any) -> dict[str, Any]:
+    """An `Acceptance` as plain data."""
+    from dataclasses import asdict
+
+    conditions = [{**asdict(c), "verdict": c.verdict} for c in found.conditions]
+    kept = None if found.margins is None else asdict(found.margins)
+    return {"passed": found.passed, "level": found.level, "dt": found.dt, "conditions": conditions, "margins": kept}
+
+
+def acceptance_text(found: Any) -> str:
+    """An `Acceptance` as a table."""
+    rows = [["condition", "stable", "norm", "ratio", "verdict", "measured"]]
+    for c in found.conditions:
+        stable = "-" if c.stable is None else "yes" if c.stable else "NO"
+        rows.append([c.name, stable, number(c.norm), number(c.ratio), c.verdict, c.note])
+    ending = "accepted" if found.passed else "NOT accepted"
+    return f"{table(rows)}\n{ending}; ratios to the level {found.level:.7g}, sampling time {found.dt:g} s"
+
+
+def export(options: argparse.Namespace) -> int:
+    """`synth export`."""
+    from synth.export import export as write
+
+    file = options.files[0]
+    item = load(file)
+    if isinstance(item, GeneralizedPlant):
+        raise ModelError(f"{file}: this is a plant; pass a design or a controller")
+    umin, umax = limits_of(options)
+    written = write(
+        item.system if isinstance(item, Model) else item, options.format, options.output, name=options.name,
+        force=options.force, allow_unstable=options.allow_unstable, umin=umin, umax=umax,
+        antiwindup=gain_of(item, options), dtype="float" if options.float else "double",
+    )  # fmt: skip
+    if options.json:
+        print_json({"files": [str(path) for path in written]})
+    else:
+        print("\n".join(map(str, written)))
+    return DONE
+
+
+def compare(options: argparse.Namespace) -> int:
+    """`synth compare`."""
+    from synth import comparison
+
+    designs = {}
+    for file in options.files:
+        designs[file] = load(file)
+        if not isinstance(designs[file], Design):
+            raise ModelError(f"{file}: this is no design; pass what `synth design` or Design.save wrote")
+    found = comparison.compare(designs)
+    if options.plot:
+        comparison.plot(designs, options.plot)
+    if options.json:
+        print_json([{"file": file, **row} for file, row in found.items()])
+        return DONE
+    rows = [["", *(Path(file).name for file in found)]]
+    for key, (text, _) in comparison.MEASURES.items():
+        rows.append([text, *(number(row[key]) for row in found.values())])
+    print(table(rows))
+    return DONE
+
+
+def design(options: argparse.Namespace) -> int:
+    """`synth design`."""
+    from synth.specification import read_study
+
+    file = Path(options.files[0])
+    target = Path(options.output) if options.output else file.with_suffix(".json")
+    if target.suffix not in (".json", ".mat"):
+        raise ModelError(f"{target}: a design is saved as .json or .mat")
+    if target.is_dir() or not target.parent.is_dir():
+        raise ModelError(f"{target}: {'this is a folder' if target.is_dir() else 'its folder does not exist'}")
+    if target.exists() and not options.force:
+        raise ModelError(f"{target}: the file exists; pass --force to replace it, or another -o")
+    study = read_study(file)
+    found = study.design()
+    accepted = study.accept(found)
+    missed = study.missed(found, accepted)
+    found.save(target)
+    if options.json:
+        gate = acceptance_data(accepted) if accepted else None
+        print_json({"file": str(target), "missed": missed, **facts(found), "acceptance": gate})
+    else:
+        print(found)
+        if accepted:
+            print(acceptance_text(accepted))
+        print(f"saved as {target}")
+    for text in missed:
+        print(f"synth design: missed: {text}", file=sys.stderr)
+    return MISSED if missed else DONE

@@ -1,0 +1,88 @@
+/*
+ * One instance of a sampled controller, as both FMI versions need it. Included once per binary; model.h is written
+ * by the exporter and names the controller.
+ *
+ * Sample k is taken at start + k * MODEL_SAMPLE_TIME. A step from t to t + h takes the samples in [t, t + h) with
+ * the inputs set before the step; the outputs hold between samples. Value references: inputs, outputs, time.
+ */
+#ifndef INSTANCE_H
+#define INSTANCE_H
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "model.h"
+
+#define TIME (MODEL_INPUTS + MODEL_OUTPUTS)
+#define TOLERANCE (1e-6 * MODEL_SAMPLE_TIME) /* s, of a sample at the end of a step */
+
+typedef struct {
+    model_real y[MODEL_INPUTS];
+    model_real u[MODEL_OUTPUTS];
+    MODEL_STATE
+    double start;   /* s, time of sample 0 */
+    double samples; /* taken so far */
+    double time;    /* s, end of the last step */
+} controller_data;
+
+static void data_reset(controller_data *data)
+{
+    static const model_real u[MODEL_OUTPUTS] = MODEL_FIRST_OUTPUTS;
+
+    memset(data->y, 0, sizeof data->y);
+    memcpy(data->u, u, sizeof u);
+    MODEL_RESET(data);
+    data->samples = 0;
+}
+
+static void data_start(controller_data *data, double start)
+{
+    data->start = data->time = start;
+}
+
+/* Returns NULL, or what is wrong. */
+static const char *data_step(controller_data *data, double t, double h)
+{
+    if (!isfinite(t) || !isfinite(h) || h <= 0) {
+        return "the communication step is not positive";
+    }
+    while (data->start + data->samples * MODEL_SAMPLE_TIME < t + h - TOLERANCE) {
+        MODEL_STEP(data);
+        data->samples += 1;
+    }
+    data->time = t + h;
+    return NULL;
+}
+
+static const char *data_get(const controller_data *data, const unsigned vr[], size_t n, double values[])
+{
+    for (size_t i = 0; i < n; ++i) {
+        if (vr[i] < MODEL_INPUTS) {
+            values[i] = (double)data->y[vr[i]];
+        } else if (vr[i] < TIME) {
+            values[i] = (double)data->u[vr[i] - MODEL_INPUTS];
+        } else if (vr[i] == TIME) {
+            values[i] = data->time;
+        } else {
+            return "there is no variable with this value reference";
+        }
+    }
+    return NULL;
+}
+
+static const char *data_set(controller_data *data, const unsigned vr[], size_t n, const double values[])
+{
+    for (size_t i = 0; i < n; ++i) {
+        if (vr[i] >= MODEL_INPUTS) {
+            return "only inputs can be set";
+        }
+        if (!isfinite(values[i])) {
+            return "an input is not finite";
+        }
+        data->y[vr[i]] = (model_real)values[i];
+    }
+    return NULL;
+}
+
+#endif

@@ -1,0 +1,244 @@
+"""A controller as a co-simulation unit, FMI 2.0 or 3.0: the exported C, a wrapper, a binary for this machine, XML.
+
+The unit samples by itself: sample k is taken at the start time + k dt with the inputs set before the step, and its
+outputs are seen after the step. With steps of dt the rows of outputs therefore lag those of the inputs by one dt, as
+they do behind any sampled controller, and no output depends on an input of the same instant.
+
+The same design gives the same file, bit for bit, with the same compiler; the instantiation token is a hash of the
+sources and of the description.
+
+Reference: Functional Mock-up Interface specification, versions 2.0.4 and 3.0.2, https://fmi-standard.org
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import platform
+import shutil
+import subprocess
+import tempfile
+import zipfile
+from importlib import metadata, resources
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+
+from synth.errors import ExportError
+from synth.export.c import c_files, initializer
+from synth.export.origin import Origin
+from synth.export.reference import SequentialController
+
+PACKAGE = resources.files("synth.export") / "fmi"
+HEADERS = {
+    2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
+    3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
+}
+PLATFORMS = {  # system and machine -> ending of the binary, its folder in each version of the standard
+    ("Linux", "x86_64"): (".so", {2: "linux64", 3: "x86_64-linux"}),
+    ("Linux", "aarch64"): (".so", {3: "aarch64-linux"}),
+    ("Darwin", "x86_64"): (".dylib", {2: "darwin64", 3: "x86_64-darwin"}),
+    ("Darwin", "arm64"): (".dylib", {3: "aarch64-darwin"}),
+    ("Windows", "AMD64"): (".dll", {2: "win64", 3: "x86_64-windows"}),
+}
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden", "-shared")
+EPOCH = (1980, 1, 1, 0, 0, 0)  # of every file in the archive, so that the same content gives the same bytes
+
+
+def fmu_bytes(controller: SequentialController, origin: Origin, name: str, *, version: int) -> bytes:
+    """The content of ``name.fmu``; version is 2 or 3.
+
+    Raises
+    ------
+    ExportError : there is no C compiler, this machine has no name in the standard, or two signals have one name.
+    """
+    _check_signals(origin)
+    folder, ending = _platform(version)
+    files = sources(controller, origin, name, version=version)
+    token = _token(files, description(controller, origin, name, "", version=version))
+    files["model.h"] = _model_header(controller, name, token)
+    content = {f"sources/{file}": text for file, text in files.items()}
+    content[f"binaries/{folder}/{name}{ending}"] = _compile(files, name, version)
+    content["modelDescription.xml"] = description(controller, origin, name, token, version=version)
+    content["documentation/licenses/fmi-headers.txt"] = (PACKAGE / "include" / "LICENSE").read_bytes()
+    return _archive(content)
+
+
+def sources(controller: SequentialController, origin: Origin, name: str, *, version: int) -> dict[str, bytes]:
+    """The controller's C, the wrapper and the headers of the standard; model.h, which joins them, is still missing."""
+    files = c_files(controller, origin, name, self_test=False)
+    files |= {file: (PACKAGE / file).read_bytes() for file in (f"fmi{version}.c", "instance.h")}
+    files |= {file: (PACKAGE / "include" / file).read_bytes() for file in HEADERS[version]}
+    if version == 3:
+        root = Element("fmiBuildDescription", fmiVersion="3.0")
+        build = SubElement(
+            SubElement(root, "BuildConfiguration", modelIdentifier=name), "SourceFileSet", language="C99"
+        )
+        for file in (f"{name}.c", "fmi3.c"):
+            SubElement(build, "SourceFile", name=file)
+        files["buildDescription.xml"] = _xml(root)
+    return files
+
+
+def description(controller: SequentialController, origin: Origin, name: str, token: str, *, version: int) -> bytes:
+    """The file modelDescription.xml: interface, signals, and the origin of the controller as an annotation."""
+    step = repr(controller.dt)
+    about = {
+        "modelName": name,
+        "description": f"linear controller, {controller.dtype} precision, sample time {step} s",
+        "generationTool": f"convex-synth {metadata.version('convex-synth')}",
+    }
+    simulation = {"modelIdentifier": name, "canHandleVariableCommunicationStepSize": "true"}
+    if version == 2:
+        root = Element("fmiModelDescription", about, fmiVersion="2.0", guid=token)
+        files = SubElement(SubElement(root, "CoSimulation", simulation), "SourceFiles")
+        for file in (f"{name}.c", "fmi2.c"):
+            SubElement(files, "File", name=file)
+    else:
+        root = Element("fmiModelDescription", about, fmiVersion="3.0", instantiationToken=token)
+        SubElement(root, "CoSimulation", simulation, fixedInternalStepSize=step)
+    units = sorted({signal.unit for signal in (*origin.inputs, *origin.outputs)} - {""} | {"s"})
+    definitions = SubElement(root, "UnitDefinitions")
+    for unit in units:
+        SubElement(definitions, "Unit", name=unit)
+    categories = SubElement(root, "LogCategories")
+    SubElement(categories, "Category", name="logStatusError", description="what is wrong, when a call fails")
+    (_variables2 if version == 2 else _variables3)(root, origin, step)
+    return _xml(root)
+
+
+def _variables2(root: Element, origin: Origin, step: str) -> None:
+    """Version 2: experiment, origin, variables in the order of their references, structure with indices from 1."""
+    SubElement(root, "DefaultExperiment", startTime="0.0", stepSize=step)
+    tool = SubElement(SubElement(root, "VendorAnnotations"), "Tool", name="convex-synth")
+    tool.append(_facts(origin))
+    variables, structure = SubElement(root, "ModelVariables"), Element("ModelStructure")
+    outputs, unknowns = SubElement(structure, "Outputs"), SubElement(structure, "InitialUnknowns")
+    for i, signal in enumerate((*origin.inputs, *origin.outputs)):
+        is_input = i < len(origin.inputs)
+        scalar = SubElement(
+            variables, "ScalarVariable", name=signal.name, valueReference=str(i), variability="discrete"
+        )
+        scalar.set("causality", "input" if is_input else "output")
+        scalar.set("initial", "calculated") if not is_input else None
+        SubElement(
+            scalar, "Real", {"unit": signal.unit} if signal.unit else {}, **({"start": "0.0"} if is_input else {})
+        )
+        if not is_input:
+            for parent in (outputs, unknowns):
+                SubElement(parent, "Unknown", index=str(i + 1), dependencies="")
+    root.append(structure)
+
+
+def _variables3(root: Element, origin: Origin, step: str) -> None:
+    """Version 3: experiment, origin, variables with time as the last one, structure with value references."""
+    SubElement(root, "DefaultExperiment", startTime="0.0", stepSize=step)
+    variables, structure = SubElement(root, "ModelVariables"), Element("ModelStructure")
+    for i, signal in enumerate((*origin.inputs, *origin.outputs)):
+        unit = {"unit": signal.unit} if signal.unit else {}
+        common = {"name": signal.name, "valueReference": str(i), "variability": "discrete", **unit}
+        if i < len(origin.inputs):
+            SubElement(variables, "Float64", common, causality="input", start="0.0")
+        else:
+            SubElement(variables, "Float64", common, causality="output", initial="calculated")
+            SubElement(structure, "Output", valueReference=str(i), dependencies="")
+    for i in range(len(origin.inputs), len(origin.inputs) + len(origin.outputs)):
+        SubElement(structure, "InitialUnknown", valueReference=str(i), dependencies="")
+    time = {"name": "time", "valueReference": str(len(origin.inputs) + len(origin.outputs)), "unit": "s"}
+    SubElement(variables, "Float64", time, causality="independent", variability="continuous")
+    root.append(structure)
+    SubElement(SubElement(root, "Annotations"), "Annotation", type="convex-synth").append(_facts(origin))
+
+
+def _facts(origin: Origin) -> Element:
+    """The facts about the controller as an element <origin> with elements <fact name="..">..</fact>."""
+    parent = Element("origin")
+    for key, text in origin.facts.items():
+        SubElement(parent, "fact", name=key).text = text
+    return parent
+
+
+def _xml(root: Element) -> bytes:
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+
+
+def _token(files: dict[str, bytes], blank: bytes) -> str:
+    """The hash of the sources and of the description without its token, written as a GUID."""
+    content = b"".join(file.encode() + b"\0" + files[file] + b"\0" for file in sorted(files))
+    h = hashlib.sha256(content + blank).hexdigest()
+    return f"{{{h[:8]}-{h[8:12]}-{h[12:16]}-{h[16:20]}-{h[20:32]}}}"
+
+
+def _model_header(controller: SequentialController, name: str, token: str) -> bytes:
+    """The header model.h: what the wrapper has to know about this controller."""
+    N, n = name.upper(), len(controller.A)
+    zero = np.zeros(len(controller.D), controller.A.dtype)
+    first = np.minimum(np.maximum(zero, controller.umin), controller.umax)
+    state = (
+        (f"{name}_state state;", f"{name}_reset(&(data)->state)", "&(data)->state, ") if n else ("", "((void)0)", "")
+    )
+    return f"""\
+/* Joins the controller and the wrapper. */
+#include "{name}.h"
+
+typedef {controller.dtype} model_real;
+
+#define MODEL_TOKEN "{token}"
+#define MODEL_SAMPLE_TIME {controller.dt!r} /* s */
+#define MODEL_INPUTS {N}_INPUTS
+#define MODEL_OUTPUTS {N}_OUTPUTS
+#define MODEL_FIRST_OUTPUTS {initializer(first)} /* before the first sample */
+#define MODEL_STATE {state[0]}
+#define MODEL_RESET(data) {state[1]}
+#define MODEL_STEP(data) {name}_step({state[2]}(data)->y, (data)->u)
+""".encode()
+
+
+def _compile(files: dict[str, bytes], name: str, version: int) -> bytes:
+    """The shared library."""
+    compiler = shutil.which("gcc") or shutil.which("cc")
+    if compiler is None:
+        raise ExportError("there is no C compiler for the binary of the FMU; install gcc, or export the C itself")
+    with tempfile.TemporaryDirectory() as folder:
+        for file, text in files.items():
+            (Path(folder) / file).write_bytes(text)
+        command = [compiler, *FLAGS, "-o", "library", f"{name}.c", f"fmi{version}.c"]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+        if done.returncode:
+            raise ExportError(f"the C compiler refused the FMU's sources: {done.stderr.strip()}")
+        return (Path(folder) / "library").read_bytes()
+
+
+def _platform(version: int) -> tuple[str, str]:
+    """The folder and the ending of the binary on this machine."""
+    system, machine = platform.system(), platform.machine()
+    ending, folders = PLATFORMS.get((system, machine), ("", {}))
+    if version not in folders:
+        known = ", ".join(f"{s} {m}" for (s, m), (_, names) in PLATFORMS.items() if version in names)
+        raise ExportError(f"FMI {version} has no name for {system} on {machine}; export on one of {known}")
+    return folders[version], ending
+
+
+def _check_signals(origin: Origin) -> None:
+    """Variables of an FMU have different names."""
+    names = [signal.name for signal in (*origin.inputs, *origin.outputs)] + ["time"]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise ExportError(
+            f"{', '.join(sorted(twice))}: an FMU has one variable per name (one is time); rename channels"
+        )
+
+
+def _archive(content: dict[str, bytes]) -> bytes:
+    """A ZIP file without dates, in alphabetical order."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for path in sorted(content):
+            entry = zipfile.ZipInfo(path, EPOCH)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, content[path])
+    return buffer.getvalue()

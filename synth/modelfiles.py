@@ -1,0 +1,173 @@
+"""Files that hold plants, controllers and designs: read, and checked when read.
+
+A JSON file says in `format` what it is:
+
+    convex-synth design       what `Design.save` writes
+    convex-synth controller   what `export` writes of a controller without a plant
+    convex-synth system       A, B, C, D of a plant or a controller, or A, B1, B2, ..., D22 of a generalised plant
+
+A system is  {"format": "convex-synth system", "format_version": 1, "dt": 0.5, "A": [[...], ...], ...}  with matrices
+as lists of rows, `dt` in seconds (0 for continuous time), and optionally the names of its signals, "u": [...],
+"y": [...] (and "w", "z" of a generalised plant), and "units": {name: unit}. A .mat file has the same matrices as
+variables.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from synth import design as designs
+from synth.design import Design, write_atomically
+from synth.errors import ModelError
+from synth.generalized import GeneralizedPlant
+from synth.statespace import StateSpace, as_matrix
+
+SYSTEM = "convex-synth system"
+CONTROLLER = "convex-synth controller"
+FORMAT_VERSION = 1
+NINE = tuple(f.name for f in fields(GeneralizedPlant))[:9]  # A, B1, ..., D22
+LABELS = ("w", "u", "z", "y", "units")
+LONGEST_TEXT = 64 * 2**20  # bytes of a JSON file
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A plant or controller with the names of its signals.
+
+    Raises
+    ------
+    ModelError : the number of names is not that of the signals, or a name is given twice.
+    """
+
+    system: StateSpace
+    u: tuple[str, ...] = ()  # (m) names of the inputs
+    y: tuple[str, ...] = ()  # (p) names of the outputs
+    units: dict[str, str] = field(default_factory=dict)  # of the signals that have one
+
+    def __post_init__(self):
+        for key, size in (("u", self.system.nu), ("y", self.system.ny)):
+            names = tuple(getattr(self, key)) or tuple(f"{key}{i}" for i in range(size))
+            if len(names) != size or len(set(names)) != size or not all(isinstance(name, str) for name in names):
+                raise ModelError(f"{key} is {list(names)}; give {size} different names")
+            object.__setattr__(self, key, names)
+        if unknown := set(self.units) - {*self.u, *self.y}:
+            raise ModelError(f"units are given for {sorted(unknown)}, which are no signals of the system")
+
+
+def read(path: str | os.PathLike[str]) -> Design | GeneralizedPlant | Model:
+    """What is in a ``.json`` or ``.mat`` file; a design is closed and measured again.
+
+    Raises
+    ------
+    ModelError : the file is missing, no file, of another kind, incomplete or damaged, with what to do about it.
+    VerificationError : a design does not do what its file says.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise ModelError("there is no such file")
+    if path.is_dir():
+        raise ModelError("this is a folder; pass a file")
+    if path.suffix == ".mat":
+        return _from_mat(path)
+    data = read_json(path)
+    kind = data.get("format") if isinstance(data, dict) else None
+    if kind == designs.FORMAT:
+        return designs.from_dict(data)
+    if kind not in (SYSTEM, CONTROLLER):
+        known = ", ".join(map(repr, (designs.FORMAT, CONTROLLER, SYSTEM)))
+        raise ModelError(f"the format is {kind!r}; one of {known} can be read here")
+    if data.get("format_version") != FORMAT_VERSION:
+        raise ModelError(
+            f"format_version is {data.get('format_version')!r}, this release reads {FORMAT_VERSION}; read the file "
+            "with the release that wrote it"
+        )
+    return as_model(data)
+
+
+def read_json(path: Path) -> Any:
+    """The data in a JSON file without the numbers that JSON does not know."""
+
+    def refuse(text: str) -> None:
+        raise ModelError(f"it holds {text}, which is no number; every entry must be finite")
+
+    try:
+        if path.stat().st_size > LONGEST_TEXT:
+            raise ModelError(f"it is larger than {LONGEST_TEXT >> 20} MiB, which no controller needs")
+        return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+    except OSError as error:
+        raise ModelError(f"it cannot be read ({error.strerror})") from None
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        raise ModelError(f"it is no JSON ({error})") from None
+
+
+def as_model(data: dict[str, Any]) -> GeneralizedPlant | Model:
+    """A system from plain data: matrices, `dt`, names and units."""
+    nine = "B1" in data
+    wanted = (*(NINE if nine else "ABCD"), "dt")
+    if missing := [name for name in wanted if name not in data]:
+        raise ModelError(f"the system has no {', '.join(missing)}; it needs {', '.join(wanted)}")
+    labels = {key: data[key] for key in LABELS if key in data}
+    for key, value in labels.items():
+        if not isinstance(value, dict if key == "units" else list):
+            raise ModelError(f"{key} is {value!r}; pass {'names and units' if key == 'units' else 'a list of names'}")
+    matrices: dict[str, Any] = {name: data[name] if name == "dt" else _matrix(name, data[name]) for name in wanted}
+    names: dict[str, Any] = {key: tuple(value) for key, value in labels.items() if key != "units"}
+    units = dict(labels.get("units", {}))
+    try:
+        if nine:
+            return GeneralizedPlant(**matrices, **names, units=units)
+        return Model(StateSpace(**matrices), names.get("u", ()), names.get("y", ()), units)
+    except (TypeError, ValueError) as error:
+        raise error if isinstance(error, ModelError) else ModelError(f"the system is damaged: {error}") from None
+
+
+def _matrix(name: str, value: Any) -> Any:
+    """A matrix, or what stands for one without rows or columns."""
+    rows = isinstance(value, list | np.ndarray)
+    return value if rows and not any(np.size(row) for row in value) else as_matrix(name, value)
+
+
+def save_system(path: str | os.PathLike[str], model: Model | StateSpace | GeneralizedPlant) -> Path:
+    """Write a system as ``.json``, with every bit of its matrices.
+
+    Raises
+    ------
+    ModelError : the file name ends otherwise.
+    """
+    path = Path(path)
+    if path.suffix != ".json":
+        raise ModelError(f"path ends with {path.suffix!r}; a system is saved as .json")
+    model = Model(model) if isinstance(model, StateSpace) else model
+    nine = isinstance(model, GeneralizedPlant)
+    source = model if nine else model.system
+    data: dict[str, Any] = {"format": SYSTEM, "format_version": FORMAT_VERSION, "dt": source.dt}
+    data |= {name: getattr(source, name).tolist() for name in (NINE if nine else "ABCD")}
+    data |= {key: getattr(model, key) for key in (LABELS if nine else ("u", "y", "units"))}
+    return write_atomically(path, json.dumps(data, indent=1, allow_nan=False).encode())
+
+
+def _from_mat(path: Path) -> GeneralizedPlant | Model:
+    """The variables A, B, C, D (or A, B1, ..., D22) and dt of a .mat file."""
+    import scipy.io
+
+    try:
+        data = scipy.io.loadmat(path)
+    except Exception as error:  # SciPy raises what it meets in a damaged file
+        raise ModelError(f"it is no .mat file of version 7 or older ({error})") from None
+    found = {name: value for name, value in data.items() if name in (*NINE, *"BCD", "dt")}
+    if "design" in data:
+        raise ModelError("it is a design for MATLAB; pass the .json file of the design, which holds all of it")
+    for name, value in found.items():
+        if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu":
+            raise ModelError(f"{name} is no real matrix; save numbers (full(A) for a sparse A)")
+    if "dt" in found:
+        if found["dt"].size != 1:
+            raise ModelError(f"dt has {found['dt'].size} entries; save one number")
+        found["dt"] = float(found["dt"].ravel()[0])
+    return as_model(found)

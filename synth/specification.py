@@ -1,0 +1,276 @@
+"""A design as a TOML file: plant, weights, method and what is asked of the result.
+
+    [plant]           matrices A, B, C, D (or A, B1, ..., D22) and dt, or file = "plant.json" (or .mat) beside it;
+                      sample = 0.5 discretises a continuous plant, hold = "zoh" (default) or "tustin"; u, y, units
+    [synthesis]       problem = "tracking", "generalized" or "loopshaping"; method, gamma; for loop shaping also
+                      gamma_factor, and feedback = "negative" for a controller that acts on r - y
+    [weights]         tracking: Wproc, Wdist, Werr, Wact, Wr; loop shaping: W1, W2 (matrices or tables A, B, C, D)
+    [specifications]  max_norm; the fields of `Requirements`; umin, umax, overload; antiwindup = true for the
+                      conditioned controller of a loop-shaping design; dt of a continuous design
+
+A matrix is a list of rows, {diag = [...]}, or a number, which stands for that multiple of the identity. The file is
+checked as a whole: all mistakes are told at once, each with its path.
+"""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from synth.acceptance import Acceptance, Requirements, accept, sampled
+from synth.antiwindup import AntiWindup
+from synth.design import Design
+from synth.errors import ModelError, SpecificationError, SynthError
+from synth.generalized import GeneralizedPlant
+from synth.hinfinity import METHODS, hinfsyn
+from synth.loopshaping import METHODS as SHAPING_METHODS
+from synth.loopshaping import four_block, ncfsyn
+from synth.modelfiles import NINE, Model, read
+from synth.statespace import StateSpace, c2d
+from synth.tables import Table
+
+PROBLEMS = ("tracking", "generalized", "loopshaping")
+TRACKING = {"Wproc": "u", "Wdist": "y", "Werr": "y", "Wact": "u", "Wr": "y"}  # weight -> signals of the plant
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """A checked study file."""
+
+    problem: str  # one of `PROBLEMS`
+    plant: GeneralizedPlant | StateSpace  # what is designed for; the plain plant for loop shaping, with its sign
+    options: dict[str, Any]  # of `hinfsyn` or `ncfsyn`
+    requirements: Requirements = field(default_factory=Requirements)
+    gate: dict[str, Any] = field(default_factory=dict)  # of `accept`
+    max_norm: float | None = None
+
+    def design(self) -> Design:
+        """Design and verify; raises what `hinfsyn` or `ncfsyn` do."""
+        synthesis = ncfsyn if self.problem == "loopshaping" else hinfsyn
+        return synthesis(self.plant, **self.options)
+
+    def accept(self, design: Design) -> Acceptance | None:
+        """The acceptance gate; None for a continuous design without a sampling time to run at."""
+        if design.plant.dt == 0 and "dt" not in self.gate:
+            return None
+        limited = "umin" in self.gate or "umax" in self.gate
+        plant = four_block(self.plant) if isinstance(self.plant, StateSpace) and limited else None
+        gate = dict(self.gate)
+        if gate.pop("antiwindup", False):
+            gate["antiwindup"] = AntiWindup.of(design, gate.get("umin", -np.inf), gate.get("umax", np.inf)).L
+        return accept(design, plant, requirements=self.requirements, **gate)
+
+    def missed(self, design: Design, accepted: Acceptance | None) -> list[str]:
+        """What the design does not meet, in words."""
+        texts = []
+        if self.max_norm is not None and design.verified_norm > self.max_norm:
+            texts.append(f"the verified norm is {design.verified_norm:.7g}, above max_norm = {self.max_norm:.7g}")
+        if accepted:
+            texts += [f"{c.name}: {c.note or 'failed'}" for c in accepted.conditions if not c.passed]
+        return texts
+
+
+def read_study(path: str | os.PathLike[str]) -> Study:
+    """Read and check a TOML file.
+
+    Raises
+    ------
+    SpecificationError : the file is missing, is no TOML, or says what cannot be; names all mistakes with their paths.
+    """
+    path = Path(path)
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SpecificationError(path.name, [f"the file cannot be read ({error.strerror})"]) from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise SpecificationError(path.name, [f"this is no TOML ({error})"]) from None
+    problems: list[str] = []
+    study = _study(Table(data, "", problems), path.parent)
+    if problems or study is None:
+        raise SpecificationError(path.name, problems)
+    return study
+
+
+def _study(root: Table, folder: Path) -> Study | None:
+    """The whole file; None if something in it is wrong."""
+    plant, about = _plant(root.table("plant", needed=True), folder)
+    synthesis, weights = root.table("synthesis", needed=True), root.table("weights")
+    problem = synthesis.text("problem", PROBLEMS)
+    if problem is None and not synthesis.has("problem"):
+        synthesis.wrong("problem", f"missing; one of {', '.join(PROBLEMS)}")
+    options = _options(synthesis, problem)
+    negative = problem == "loopshaping" and synthesis.text("feedback", ("negative", "positive")) == "negative"
+    target = _weighed(problem, plant, about, weights, options, negative)
+    m = None if plant is None else plant.sizes[2] if isinstance(plant, GeneralizedPlant) else plant.nu
+    requirements, gate, max_norm = _specifications(root.table("specifications"), m)
+    if problem is not None:  # else it is not known which keys belong there
+        synthesis.close()
+        weights.close()
+    root.close()
+    if root.problems or problem is None or target is None:
+        return None
+    return Study(problem, target, options, requirements, gate, max_norm)
+
+
+def _plant(table: Table, folder: Path) -> tuple[GeneralizedPlant | StateSpace | None, dict[str, Any]]:
+    """The plant, sampled if that is asked for, and the names and units of its signals."""
+    about: dict[str, Any] = {key: table.names(key) for key in ("u", "y")}
+    units = table.table("units")
+    about["units"] = {key: units.text(key) for key in units.data}
+    sample, hold = table.number("sample", above=0), table.text("hold", ("zoh", "tustin"), "zoh")
+    before = len(table.problems)
+    try:
+        plant = _from_file(table, folder, about) if table.has("file") else _from_matrices(table)
+        if sample is not None and plant is not None:
+            plant = _sampled(plant, sample, hold or "zoh")
+    except SynthError as error:
+        if len(table.problems) == before:
+            table.problems.append(f"{table.path}: {error}")
+        plant = None
+    if isinstance(plant, StateSpace):
+        for key, size in (("u", plant.nu), ("y", plant.ny)):
+            if about[key] and len({*about[key]}) != size:
+                table.wrong(key, f"expected {size} different names, found {len({*about[key]})}")
+                about[key] = ()
+    table.close()
+    return plant, about
+
+
+def _sampled(plant: GeneralizedPlant | StateSpace, dt: float, hold: str) -> GeneralizedPlant | StateSpace:
+    """The discrete plant."""
+    if isinstance(plant, StateSpace):
+        return c2d(plant, dt, hold)
+    if hold != "zoh":
+        raise ModelError("hold is 'tustin'; a generalised plant is sampled with 'zoh'")
+    return sampled(plant, dt)
+
+
+def _from_file(table: Table, folder: Path, about: dict[str, Any]) -> GeneralizedPlant | StateSpace | None:
+    """The plant in a file beside the study."""
+    name = table.text("file")
+    if name is None:
+        return None
+    try:
+        found = read(folder / name)
+    except SynthError as error:
+        table.wrong("file", f"{name}: {error}")
+        return None
+    if isinstance(found, Design):
+        found = found.plant
+    if isinstance(found, Model):
+        for key in ("u", "y", "units"):
+            about[key] = about[key] or getattr(found, key)
+        return found.system
+    return found
+
+
+def _from_matrices(table: Table) -> GeneralizedPlant | StateSpace | None:
+    """The plant from its matrices; shapes follow A and D, or A, D11 and D22."""
+    dt = table.number("dt", least=0)
+    if dt is None and "dt" not in table.data:
+        table.wrong("dt", "missing; 0 for continuous time, or the sampling time in s")
+    nine = any(name in table.data for name in NINE[1:])
+    names = NINE if nine else tuple("ABCD")
+    rows: dict[str, Any] = {}
+    n = len(table.data["A"]) if isinstance(table.data.get("A"), list) else None
+    for name in ("A", *(("D11", "D22") if nine else ())):
+        rows[name] = table.matrix(name, (n, n) if name == "A" else (None, None))
+    rest = [name for name in names if name not in rows]
+    for name in rest:
+        rows[name] = table.matrix(name, _expected(name, rows, n))
+    if dt is None or any(M is None for M in rows.values()):
+        return None
+    return GeneralizedPlant(**rows, dt=dt) if nine else StateSpace(**rows, dt=dt)
+
+
+def _expected(name: str, rows: dict[str, Any], n: int | None) -> tuple[int | None, int | None]:
+    """The shape of a matrix of the plant, as far as others have told it."""
+
+    def size(key: str, axis: int) -> int | None:
+        return None if rows.get(key) is None else rows[key].shape[axis]
+
+    shapes = {
+        "B": (n, None), "C": (None, n), "D": (size("C", 0), size("B", 1)),
+        "B1": (n, size("D11", 1)), "B2": (n, size("D22", 1)), "C1": (size("D11", 0), n), "C2": (size("D22", 0), n),
+        "D12": (size("D11", 0), size("D22", 1)), "D21": (size("D22", 0), size("D11", 1)),
+    }  # fmt: skip
+    return shapes[name]
+
+
+def _options(table: Table, problem: str | None) -> dict[str, Any]:
+    """Options of the synthesis function; those left out keep its defaults."""
+    methods = SHAPING_METHODS if problem == "loopshaping" else METHODS
+    found = {"method": table.text("method", methods), "gamma": table.number("gamma", above=0)}
+    if problem == "loopshaping":
+        found["gamma_factor"] = table.number("gamma_factor", above=1)
+    return {key: value for key, value in found.items() if value is not None}
+
+
+def _weighed(
+    problem: str | None, plant: Any, about: dict[str, Any], weights: Table, options: dict[str, Any], negative: bool
+) -> GeneralizedPlant | StateSpace | None:
+    """The plant that is designed for; weights of loop shaping go into the options."""
+    if problem is None:
+        return None
+    if plant is not None and isinstance(plant, GeneralizedPlant) != (problem == "generalized"):
+        needed = "A, B1, B2, ..., D22" if problem == "generalized" else "A, B, C, D"
+        weights.problems.append(f"plant: the problem {problem!r} needs a plant with {needed}")
+        plant = None
+    if problem == "generalized":
+        return replace(plant, **{key: value for key, value in about.items() if value}) if plant else None
+    m, q = (None, None) if plant is None else (plant.nu, plant.ny)
+    if problem == "loopshaping":
+        for key, size in (("W1", m), ("W2", q)):
+            if weights.has(key):
+                options[key] = _shaping_weight(weights, key, size, plant)
+        return plant if plant is None or not negative else StateSpace(plant.A, plant.B, -plant.C, -plant.D, plant.dt)
+    size = {"u": m, "y": q}
+    found = {key: weights.matrix(key, (size[signals], size[signals])) for key, signals in TRACKING.items()}
+    if plant is None or any(W is None for W in found.values()):
+        return None
+    try:
+        return GeneralizedPlant.tracking(plant, **found, **about)
+    except ModelError as error:
+        weights.problems.append(f"plant: {error}")
+        return None
+
+
+def _shaping_weight(weights: Table, key: str, size: int | None, plant: StateSpace | None) -> Any:
+    """A matrix, or a system with the timebase of the plant."""
+    if not isinstance(weights.data[key], dict) or "diag" in weights.data[key]:
+        return weights.matrix(key, (size, size))
+    table = weights.table(key)
+    n = len(table.data["A"]) if isinstance(table.data.get("A"), list) else None
+    shape = {"A": (n, n), "B": (n, None), "C": (None, n), "D": (None, None)}
+    rows = {name: table.matrix(name, shape[name]) for name in "ABCD"}
+    table.close()
+    if plant is None or any(M is None for M in rows.values()):
+        return None
+    try:
+        return StateSpace(**rows, dt=plant.dt)
+    except ModelError as error:
+        weights.wrong(key, str(error))
+        return None
+
+
+def _specifications(table: Table, m: int | None) -> tuple[Requirements, dict[str, Any], float | None]:
+    """What is asked of the design."""
+    required = {f.name: table.number(f.name, above=0) for f in fields(Requirements)}
+    gate = {
+        "dt": table.number("dt", above=0),
+        "overload": table.number("overload", above=1),
+        "umin": table.vector("umin", m),
+        "umax": table.vector("umax", m),
+        "antiwindup": table.boolean("antiwindup") or None,
+    }
+    if gate["antiwindup"] and gate["umin"] is None and gate["umax"] is None:
+        table.wrong("antiwindup", "there are no limits; give umin and umax")
+    max_norm = table.number("max_norm", above=0)
+    table.close()
+    given = {key: value for key, value in gate.items() if value is not None}
+    return Requirements(**{key: v for key, v in required.items() if v is not None}), given, max_norm

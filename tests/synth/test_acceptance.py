@@ -1,0 +1,176 @@
+"""The acceptance gate: it passes what holds, and finds what a processor and its actuators break."""
+
+import numpy as np
+import pytest
+from literature import compleib, cubesat_pecorilla2024
+
+from synth.acceptance import Acceptance, Requirements, accept, delayed, inner, simulate
+from synth.antiwindup import AntiWindup
+from synth.design import Design
+from synth.errors import ModelError
+from synth.export.reference import SequentialController
+from synth.generalized import GeneralizedPlant
+from synth.hinfinity import hinfsyn
+from synth.loopshaping import four_block, ncfsyn
+from synth.norms import hinfnorm
+from synth.stabilitymargins import margins
+from synth.statespace import StateSpace, c2d
+
+
+@pytest.fixture(scope="module")
+def cubesat() -> Design:
+    return hinfsyn(cubesat_pecorilla2024())
+
+
+@pytest.fixture(scope="module")
+def accepted(cubesat) -> Acceptance:
+    return accept(cubesat, umin=-1e-3, umax=1e-3)
+
+
+def lines(found: Acceptance) -> dict:
+    return {c.name: c for c in found.conditions}
+
+
+def static(D, dt) -> StateSpace:
+    D = np.atleast_2d(np.asarray(D, float))
+    return StateSpace(np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((D.shape[0], 0)), D, dt)
+
+
+def test_the_cubesat_design_is_accepted(cubesat, accepted):
+    found = lines(accepted)
+    assert accepted.passed
+    assert found["designed"].norm == pytest.approx(cubesat.verified_norm, rel=1e-6)
+    assert found["designed"].ratio == pytest.approx(1, abs=1e-2)
+    assert 1 < found["one sample of delay"].ratio < 1.5
+    assert found["float32 numbers"].ratio == pytest.approx(1, abs=1e-5)
+    assert not found["zero-order hold"].required
+    assert found["saturation"].stable
+    assert accepted.margins.gain_db == margins(inner(cubesat.plant), cubesat.controller, sign=1).gain_db
+
+
+def test_conditions_are_what_they_say(cubesat, accepted):
+    """Delay and rounding measured beside the gate, by other means."""
+    P, K = cubesat.plant, cubesat.controller
+    late, (norm, _) = delayed(K), hinfnorm(P.close(delayed(K)))
+    omega = 0.3
+    np.testing.assert_allclose(
+        late.frequency_response(omega), K.frequency_response(omega) * np.exp(-1j * omega * K.dt), rtol=1e-12
+    )
+    assert lines(accepted)["one sample of delay"].norm == pytest.approx(norm, rel=1e-5)
+    rounded = StateSpace(*(np.float32(getattr(K, name)).astype(float) for name in "ABCD"), K.dt)
+    assert lines(accepted)["float32 numbers"].norm == pytest.approx(hinfnorm(P.close(rounded))[0], rel=1e-5)
+
+
+def test_simulation_follows_the_closed_loop(cubesat):
+    P, K = cubesat.plant, cubesat.controller
+    x0 = np.array([0.1, -0.2, 0.3, 0.0, 0.01, 0.0])
+    run = simulate(inner(P), SequentialController.of(K), x0, 30)
+    loop = P.close(K)
+    state = np.concatenate([x0, np.zeros(K.n)])
+    for k in range(30):
+        np.testing.assert_allclose(run.y[k], P.C2 @ state[: len(x0)], atol=1e-12)
+        state = loop.A @ state
+
+
+def test_requirements_that_are_missed_are_named(cubesat):
+    found = accept(cubesat, requirements=Requirements(phase_margin_deg=60, disk_margin=0.4, delay_ratio=1.05))
+    failed = {name: c.note for name, c in lines(found).items() if not c.passed}
+    assert failed.keys() == {"phase margin", "one sample of delay"}
+    assert "required 60" in failed["phase margin"]
+    assert "at most 1.05" in failed["one sample of delay"]
+    assert lines(found)["disk margin"].verdict == "pass"
+
+
+def test_a_continuous_design_needs_its_sampling_time():
+    """The optimal controller of AC2 has poles far beyond any processor: held over 10 ms its loop is unstable."""
+    plant = compleib()["ac2"][0]
+    design = hinfsyn(plant)
+    with pytest.raises(ModelError, match="pass dt"):
+        accept(design)
+    found = lines(accept(design, dt=0.01))
+    assert found["designed"].passed
+    assert not found["zero-order hold"].stable
+    design = ncfsyn(StateSpace([[0, 1], [0, 0]], [[0], [1]], [[-1, 0]], [[0]]), method="riccati")
+    coarse, fine, finer = (accept(design, dt=dt) for dt in (0.2, 0.1, 0.05))
+    assert fine.passed
+    assert fine.dt == 0.1
+    errors = [abs(lines(found)["zero-order hold"].norm / design.verified_norm - 1) for found in (coarse, fine, finer)]
+    assert errors[1] < 0.6 * errors[0]  # first order in dt
+    assert errors[2] < 0.6 * errors[1]
+
+
+def loop(a: float, k: float, dt: float = 1.0) -> tuple[StateSpace, GeneralizedPlant]:
+    """u = -k y on x+ = a x + u."""
+    return static(-k, dt), four_block(StateSpace([[a]], [[1.0]], [[1.0]], [[0.0]], dt))
+
+
+def test_one_sample_of_delay_destabilises_what_has_no_room():
+    """x+ = 1.5 x + u: with delay z^2 - 1.5 z + k is stable for 0.5 < k < 1, the loop without delay up to 2.5."""
+    assert lines(accept(*loop(1.5, 0.8)))["one sample of delay"].stable
+    found = lines(accept(*loop(1.5, 1.2)))
+    assert found["designed"].stable
+    assert not found["one sample of delay"].stable
+    assert "spectral radius" in found["one sample of delay"].note
+
+
+def test_saturation_of_an_unstable_plant():
+    """x+ = 1.5 x + u, |u| <= 1: no control brings back |x| >= 2. Demand k |x| of `overload` decides which it is."""
+    K, P = loop(1.5, 1.0)
+    assert lines(accept(K, P, umin=-1, umax=1, overload=1.9))["saturation"].passed
+    found = lines(accept(K, P, umin=-1, umax=1, overload=2.1))["saturation"]
+    assert not found.passed
+    assert "not back" in found.note
+    uneven = lines(accept(K, P, umin=-1, umax=3, overload=1.9))["saturation"]
+    assert uneven.passed
+    assert "2 starts" in uneven.note
+
+
+def test_float32_breaks_a_controller_whose_poles_cluster():
+    """A companion form with three poles at 0.998: the eighth digit of its coefficients moves them by 0.004."""
+    c = np.poly(np.full(3, 0.998))
+    K = StateSpace(np.vstack([-c[1:], np.eye(2, 3)]), np.eye(3, 1), 1e-9 * np.eye(1, 3), [[-0.8]], 1.0)
+    found = lines(accept(K, loop(1.5, 0)[1]))
+    assert found["designed"].stable
+    assert not found["float32 numbers"].stable
+    assert not found["float32 arithmetic"].passed
+
+
+def test_loop_shaping_saturates_on_its_plant_with_anti_windup():
+    g = c2d(StateSpace([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], [[0]]), 0.1)
+    G = StateSpace(g.A, g.B, -g.C, g.D, g.dt)
+    W1 = StateSpace([[1.0]], [[0.02]], [[1.0]], [[1.0]], 0.1)
+    design = ncfsyn(G, W1)
+    assert accept(design).passed
+    with pytest.raises(ModelError, match="shaped plant W2 G W1 only"):
+        accept(design, umin=-1, umax=1)
+    L = AntiWindup.of(design, -1, 1).L
+    found = lines(accept(design, four_block(G), umin=-1, umax=1, antiwindup=L))
+    assert found["saturation"].passed
+    assert found["designed"].ratio == 1
+
+
+def test_an_unstable_loop_is_not_accepted():
+    K, P = loop(1.5, 0.1)
+    found = accept(K, P)
+    assert not found.passed
+    assert found.margins is None
+    assert not lines(found)["gain margin"].passed
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"dt": 2.0}, "leave dt away"),
+        ({"overload": 0.5}, "above 1"),
+        ({"umin": 1, "umax": 2}, "zero must lie between"),
+        ({"umin": [1, 2]}, "pass a number or 1 of them"),
+    ],
+)
+def test_refusals(options, message):
+    K, P = loop(1.5, 1.0)
+    with pytest.raises(ModelError, match=message):
+        accept(K, P, **options)
+    with pytest.raises(ModelError, match="comes without a plant"):
+        accept(K)
+    with pytest.raises(ModelError, match="ratio is -1"):
+        Requirements(ratio=-1)

@@ -1,0 +1,175 @@
+"""Study files: designs from TOML, and all mistakes at once."""
+
+import numpy as np
+import pytest
+from literature import GAMMA_PECORILLA2024, cubesat_pecorilla2024
+
+from synth.errors import SpecificationError
+from synth.hinfinity import hinfsyn
+from synth.loopshaping import ncfsyn
+from synth.modelfiles import save_system
+from synth.specification import read_study
+from synth.statespace import StateSpace, c2d
+
+SHAPING = """
+[plant]
+dt = 0
+sample = 0.1
+A = [[0, 1], [0, 0]]
+B = [[0], [1]]
+C = [[1, 0]]
+D = [[0]]
+[synthesis]
+problem = "loopshaping"
+feedback = "negative"
+gamma_factor = 1.2
+[weights]
+W1 = { A = [[1]], B = [[0.02]], C = [[1]], D = [[1]] }
+W2 = 2
+[specifications]
+ncf_margin = 0.1
+"""
+
+
+def study_of(text, folder):
+    (folder / "study.toml").write_text(text)
+    return read_study(folder / "study.toml")
+
+
+def problems_of(text, folder):
+    with pytest.raises(SpecificationError) as caught:
+        study_of(text, folder)
+    return list(caught.value.problems)
+
+
+def test_loop_shaping_study(tmp_path):
+    study = study_of(SHAPING, tmp_path)
+    design = study.design()
+    g = c2d(StateSpace([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], [[0]]), 0.1)
+    W1 = StateSpace([[1.0]], [[0.02]], [[1.0]], [[1.0]], 0.1)
+    same = ncfsyn(StateSpace(g.A, g.B, -g.C, g.D, 0.1), W1, 2 * np.eye(1), gamma_factor=1.2)
+    assert design.controller.digest() == same.controller.digest()
+    accepted = study.accept(design)
+    assert accepted.passed
+    assert study.missed(design, accepted) == []
+    clipped = study_of(SHAPING + "umin = -1\numax = 1\n", tmp_path)
+    assert any("A - L C has spectral radius" in text for text in clipped.missed(design, clipped.accept(design)))
+    conditioned = study_of(SHAPING + "umin = -1\numax = 1\nantiwindup = true\n", tmp_path)
+    assert conditioned.accept(design).passed
+    wanting = study_of(
+        SHAPING.replace("ncf_margin = 0.1", "ncf_margin = 0.9\nmax_norm = 1.0\numin = -1\numax = 1"), tmp_path
+    )
+    missed = wanting.missed(design, wanting.accept(design))
+    assert any("above max_norm" in text for text in missed)
+    assert any("ncf margin" in text for text in missed)
+
+
+def test_generalised_plant_from_a_file_beside_the_study(tmp_path):
+    plant = cubesat_pecorilla2024()
+    save_system(tmp_path / "plant.json", plant)
+    study = study_of('plant.file = "plant.json"\nsynthesis = { problem = "generalized", method = "riccati" }', tmp_path)
+    assert study.plant.system.digest() == plant.system.digest()
+    design = study.design()
+    assert design.info.method == "riccati"
+    assert design.gamma == pytest.approx(GAMMA_PECORILLA2024, rel=1e-6)
+    assert design.gamma == pytest.approx(hinfsyn(plant, method="riccati").gamma)
+
+
+def test_generalised_plant_in_matrices(tmp_path):
+    text = """
+    [plant]
+    dt = 0
+    A = -1
+    B1 = [[1, 0]]
+    B2 = 1
+    C1 = [[1], [0]]
+    D11 = [[0, 0], [0, 0]]
+    D12 = [[0], [1]]
+    C2 = 1
+    D21 = [[0, 1]]
+    D22 = [[0]]
+    y = ["position"]
+    [synthesis]
+    problem = "generalized"
+    gamma = 10
+    [specifications]
+    dt = 0.01
+    """
+    study = study_of(text.replace("    A = -1", "    A = [[-1]]"), tmp_path)
+    assert study.plant.y == ("position",)
+    design = study.design()
+    assert design.gamma == 10
+    assert study.accept(design).dt == 0.01
+
+
+def test_all_mistakes_are_told_at_once(tmp_path):
+    text = SHAPING.replace("[0, 0]]", '[0, "x"]]', 1).replace("sample = 0.1", "sampel = 0.1")
+    text = text.replace("gamma_factor = 1.2", 'gamma_factor = 0.9\nmethod = "lmy"').replace("W2 = 2", "W3 = 2")
+    text = text.replace("ncf_margin = 0.1", "ncf_margin = true\nphase_margin = 30") + "[outlook]\n"
+    found = problems_of(text, tmp_path)
+    assert sorted(found) == sorted(
+        [
+            "plant.sampel: unknown; did you mean 'sample'?",
+            "plant.A[1][1]: expected a number, found text ('x')",
+            "synthesis.method: 'lmy' is not one of lmi, riccati; did you mean 'lmi'?",
+            "synthesis.gamma_factor: 0.9 is not above 1",
+            "specifications.ncf_margin: expected a number, found true or false (True)",
+            "specifications.phase_margin: unknown; did you mean 'phase_margin_deg'?",
+            "weights.W3: unknown; did you mean 'W2'?",
+            "outlook: unknown",
+        ]
+    )
+
+
+TRACKING = """
+[plant]
+dt = 0.5
+A = [[1, 0.5], [0, 1]]
+B = [[0], [1]]
+C = 1
+D = [[0], [0]]
+[synthesis]
+problem = "tracking"
+[weights]
+Wproc = 1
+Wdist = 1
+Werr = { diag = [1, 1] }
+Wact = 1
+Wr = 1
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "problem"),
+    [
+        ("Wproc = 1", "Wproc = [[1, 2]]", "weights.Wproc: expected shape 1 x 1, found 1 x 2"),
+        ("Wproc = 1\n", "", "weights.Wproc: missing; expected shape 1 x 1"),
+        ("diag = [1, 1]", "diag = [1, 1, 1]", "weights.Werr: expected shape 2 x 2, found 3 x 3"),
+        ("diag = [1, 1]", 'diag = [1, "a"]', "weights.Werr.diag[1]: expected a number, found text ('a')"),
+        ("diag = [1, 1]", "dig = [1, 1]", "weights.Werr.dig: unknown; did you mean 'diag'?"),
+        ("[1, 0.5]", "[1, nan]", "plant.A[0][1]: nan is not finite"),
+        ("[1, 0.5]", "[1]", "plant.A[1]: 2 entries where row 0 has 1"),
+        ("dt = 0.5", "dt = -1", "plant.dt: -1 is not at least 0"),
+        ("dt = 0.5\n", "", "plant.dt: missing; 0 for continuous time, or the sampling time in s"),
+        ("dt = 0.5", "dt = 0.5\nsample = 1", "plant: the system is already discrete (dt = 0.5 s)"),
+        ("dt = 0.5", 'dt = 0.5\nu = ["a", "b"]', "plant.u: expected 1 different names, found 2"),
+        ("tracking", "loopshaping", "weights.Wproc: unknown"),
+        ("tracking", "generalized", "plant: the problem 'generalized' needs a plant with A, B1, B2, ..., D22"),
+        ('problem = "tracking"', "", "synthesis.problem: missing; one of tracking, generalized, loopshaping"),
+        ("dt = 0.5", 'file = "no.json"', "plant.file: no.json: there is no such file"),
+        ("Wr = 1", "Wr = 1\n[specifications]\nantiwindup = true", "specifications.antiwindup: there are no limits"),
+        ("Wr = 1", "Wr = 1\n[specifications]\numin = [1, 2]", "specifications.umin: expected 1 numbers, found 2"),
+    ],
+)
+def test_each_mistake_names_its_path(tmp_path, old, new, problem):
+    assert study_of(TRACKING, tmp_path).problem == "tracking"
+    assert any(text.startswith(problem) for text in problems_of(TRACKING.replace(old, new), tmp_path))
+
+
+def test_files_that_are_none(tmp_path):
+    with pytest.raises(SpecificationError, match="cannot be read"):
+        read_study(tmp_path / "no.toml")
+    with pytest.raises(SpecificationError, match="cannot be read"):
+        read_study(tmp_path)
+    assert "this is no TOML" in problems_of("[plant", tmp_path)[0]
+    assert problems_of("", tmp_path)[0] == "plant: missing"
