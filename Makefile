@@ -27,10 +27,10 @@ $(VENV)/run.stamp: pyproject.toml constraints.txt
 	$(PIP) -e .
 	touch $@
 
-# slycot has no wheel for every platform; the tests that compare with it skip without it
+# the oracles have no wheel for every platform; the tests that compare with them skip without them
 $(VENV)/dev.stamp: $(VENV)/run.stamp
 	$(PIP) -e ".[dev]"
-	$(PIP) --only-binary slycot -e ".[oracles]" || echo "slycot is not available here: its comparisons will be skipped"
+	$(PIP) --only-binary slycot -e ".[oracles]" || echo "slycot or fmpy is not to be had here: their comparisons will be skipped"
 	touch $@
 
 clean:
