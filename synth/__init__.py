@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from synth.hinfinity import hinfsyn as hinfsyn
     from synth.loopshaping import ncfmargin as ncfmargin
     from synth.loopshaping import ncfsyn as ncfsyn
+    from synth.mixedsensitivity import augw as augw
+    from synth.mixedsensitivity import mixsyn as mixsyn
     from synth.norms import h2norm as h2norm
     from synth.norms import hinfnorm as hinfnorm
     from synth.norms import verify as verify
@@ -105,6 +107,7 @@ _HOME = {
     "SynthError": "errors",
     "VerificationError": "errors",
     "accept": "acceptance",
+    "augw": "mixedsensitivity",
     "c2d": "statespace",
     "care": "riccati",
     "dare": "riccati",
@@ -121,6 +124,7 @@ _HOME = {
     "lqrd": "regulator",
     "margin": "stabilitymargins",
     "margins": "stabilitymargins",
+    "mixsyn": "mixedsensitivity",
     "mpc": "predictive",
     "ncfmargin": "loopshaping",
     "ncfsyn": "loopshaping",

@@ -53,6 +53,8 @@ class Info:
     versions: Mapping[str, str]  # packages that took part
     date: str  # ISO 8601, UTC
     gamma_min: float | None = None  # optimal level, where the design is for another one (loop shaping)
+    shift: float = 0.0  # rad/s, of the stability boundary (mixed sensitivity)
+    shifted_norm: float | None = None  # verified norm of the shifted problem, to which gamma then belongs
 
 
 @dataclass(frozen=True, eq=False)

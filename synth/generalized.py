@@ -138,6 +138,43 @@ class GeneralizedPlant:
             units={s: units[s] for s in u if s in units} | {f"error {s}": units[s] for s in y if s in units},
         )  # fmt: skip
 
+    @classmethod
+    def four_block(cls, G: Any, *, Wdist, Wnoise, Wout, Wact) -> GeneralizedPlant:
+        """Regular four-block problem with constant weights: z = [Wout G (u + Wdist d); Wact u] from w = [d; n].
+
+        d is a disturbance at the plant's input, n noise at its output; the measurement is the error against zero,
+        y = -(G (u + Wdist d) + Wnoise n), so that K is used as it is with e = r - y. For square, invertible Wnoise and
+        Wact the problem is regular also where G has poles on the stability boundary.
+
+        Parameters
+        ----------
+        G : (q x m) plant: StateSpace, control.StateSpace or (A, B, C, D, dt)
+        Wdist : (m, m) input disturbance; Wnoise : (q, q) output noise
+        Wout : (q, q) output; Wact : (m, m) control effort
+
+        Reference: Zhou, Doyle and Glover (1996), Robust and Optimal Control, section 16.1.
+        """
+        G = StateSpace.of(G)
+        m, q = G.nu, G.ny
+        Wd, Wn = as_matrix("Wdist", Wdist, (m, m)), as_matrix("Wnoise", Wnoise, (q, q))
+        Wy, Wu = as_matrix("Wout", Wout, (q, q)), as_matrix("Wact", Wact, (m, m))
+        O = np.zeros
+        return cls(
+            A=G.A,
+            B1=np.hstack([G.B @ Wd, O((G.n, q))]),
+            B2=G.B,
+            C1=np.vstack([Wy @ G.C, O((m, G.n))]),
+            D11=np.block([[Wy @ G.D @ Wd, O((q, q))], [O((m, m)), O((m, q))]]),
+            D12=np.vstack([Wy @ G.D, Wu]),
+            C2=-G.C,
+            D21=np.hstack([-G.D @ Wd, -Wn]),
+            D22=-G.D,
+            dt=G.dt,
+            w=(*(f"disturbance {i}" for i in range(m)), *(f"noise {i}" for i in range(q))),
+            z=(*(f"weighted output {i}" for i in range(q)), *(f"weighted effort {i}" for i in range(m))),
+            y=tuple(f"error {i}" for i in range(q)),
+        )
+
     def close(self, K: StateSpace) -> StateSpace:
         """Closed loop from w to z under u = K y (positive feedback)."""
         return lft(self.system, K, self.C2.shape[0], self.B2.shape[1])
