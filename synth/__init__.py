@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     from synth.errors import SynthError as SynthError
     from synth.errors import VerificationError as VerificationError
     from synth.export.reference import SequentialController as SequentialController
+    from synth.fuel import FuelMpc as FuelMpc
+    from synth.fuel import free_motion as free_motion
+    from synth.fuel import fuel_mpc as fuel_mpc
+    from synth.fuel import minimum_fuel as minimum_fuel
     from synth.gap import Gap as Gap
     from synth.gap import gapmetric as gapmetric
     from synth.generalized import GeneralizedPlant as GeneralizedPlant
@@ -82,6 +86,7 @@ _HOME = {
     "Design": "design",
     "EulerModel": "sdc",
     "ExportError": "errors",
+    "FuelMpc": "fuel",
     "Gap": "gap",
     "GeneralizedPlant": "generalized",
     "InfeasibleError": "errors",
@@ -114,6 +119,8 @@ _HOME = {
     "diskmargin": "stabilitymargins",
     "dlqr": "regulator",
     "feedback": "statespace",
+    "free_motion": "fuel",
+    "fuel_mpc": "fuel",
     "gapmetric": "gap",
     "h2norm": "norms",
     "hinfnorm": "norms",
@@ -124,6 +131,7 @@ _HOME = {
     "lqrd": "regulator",
     "margin": "stabilitymargins",
     "margins": "stabilitymargins",
+    "minimum_fuel": "fuel",
     "mixsyn": "mixedsensitivity",
     "mpc": "predictive",
     "ncfmargin": "loopshaping",

@@ -156,7 +156,7 @@ def shifted(G: StateSpace, e: float) -> StateSpace:
 def check_boundary(G: StateSpace, shift: float) -> None:
     """Raise AssumptionError for poles of G, after the shift, on the stability boundary."""
     poles = G.poles()
-    off = np.abs(np.abs(poles) - 1) if G.discrete else np.abs(poles.real)
+    off = np.abs(np.abs(poles) - 1) if G.discrete else np.abs(np.real(poles))
     size = 1.0 if G.discrete else np.linalg.norm(G.A, 2) if G.n else 1.0
     on = poles[off <= BOUNDARY * size]
     if not on.size:
@@ -175,7 +175,7 @@ def check_boundary(G: StateSpace, shift: float) -> None:
 def check_shift(loop: StateSpace, shift: float) -> None:
     """Raise VerificationError unless the poles of a loop lie left of -shift, to rounding."""
     poles = loop.poles()
-    rates = np.log(np.maximum(np.abs(poles), 1e-300)) / loop.dt if loop.discrete else poles.real
+    rates = np.log(np.maximum(np.abs(poles), 1e-300)) / loop.dt if loop.discrete else np.real(poles)
     if rates.max(initial=-np.inf) > -shift * (1 - ROUNDING):
         raise VerificationError(f"the loop has a pole at a rate of {rates.max():.9g} rad/s, right of -{shift:g}")
 
@@ -192,7 +192,8 @@ def _weight(name: str, W: Any, size: int, G: StateSpace) -> StateSpace:
     except ModelError as error:
         raise ModelError(f"{name} does not fit the plant: {error}") from None
     if W.nu == W.ny == 1 and size > 1:
-        W = StateSpace(*(np.kron(np.eye(size), M) for M in (W.A, W.B, W.C, W.D)), W.dt)
+        I = np.eye(size)
+        W = StateSpace(np.kron(I, W.A), np.kron(I, W.B), np.kron(I, W.C), np.kron(I, W.D), W.dt)
     if W.nu != size:
         raise ModelError(f"{name} has {W.nu} inputs for {size} signals; pass one with {size}, or one for every channel")
     if not is_stable(W):

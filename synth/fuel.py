@@ -1,0 +1,277 @@
+"""Least fuel: predictive control that minimises a 1-norm, and the bound below which no control can go.
+
+    minimise    sum_k |u_k|_1 / max(umax)  +  penalty sum_k |s_k / box|_1       (dt |u_k|_1: fuel, delta-v)
+    subject to  x_{k+1} = A x_k + B u_k + d_k,   |u_k| <= umax,   |C x_k| <= box + s_k,  s_k >= 0   from `settle` on
+
+The box is soft, so that the program is never infeasible; the penalty is exact: s = 0 wherever the box can be kept and
+keeping it costs less fuel than the penalty. Between the samples the box is not looked at.
+
+The bound (`minimum_fuel`) is the dual program: with G(t) the impulse response, for all multipliers l_k of the samples
+
+    integral of |u|_1  >=  -(sum l_k'f_k + box'|l_k|) / max_t |p(t)|_inf,      p(t) = sum_{t_k > t} G(t_k - t)' l_k
+
+f the motion without control, p the primer vector. It holds for every control: continuous, impulsive, of any thrust.
+
+References: Lawden (1963), Optimal Trajectories for Space Navigation; Boyd and Vandenberghe (2004), section 5.2;
+Maciejowski (2002), Predictive Control with Constraints, section 3.4 (exact penalties).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import scipy.linalg as sla
+
+from synth.errors import ModelError, NumericalError
+from synth.parametriclp import ParametricLp, canonicalise
+from synth.predictive import count, limits
+from synth.statespace import StateSpace, as_matrix
+
+if TYPE_CHECKING:
+    import cvxpy as cp
+
+REFINED = 20  # points between two samples at which the primer vector's peak is looked for
+
+
+class FuelState(NamedTuple):
+    """What the controller remembers from sample to sample."""
+
+    sample: int  # number of steps taken
+    basis: Any  # of HiGHS, where the next solve starts; None before the first
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FuelMpc:
+    """A predictive controller of least fuel; `fuel_mpc` makes it. Pure; one object serves one thread."""
+
+    model: StateSpace  # discrete; n states, m inputs, q outputs
+    box: np.ndarray  # (q,) half-width of what the outputs are to be kept in
+    umax: np.ndarray  # (m,) limit of |u|
+    horizon: int  # samples
+    settle: int  # samples from the start before the box counts
+    forecast: np.ndarray  # (any, n) known increments d_k of the state from the start, zero beyond its end
+    lp: ParametricLp  # variables: u+ and u- (horizon m,) in units of umax, excess (horizon q,) in units of the box
+
+    @property
+    def dt(self) -> float:
+        """Sampling time in seconds."""
+        return self.model.dt
+
+    def init(self) -> FuelState:
+        """The first sample."""
+        return FuelState(0, None)
+
+    def room(self, sample: int, x: np.ndarray, r: np.ndarray) -> np.ndarray:
+        """What is left to the upper and to the lower side of the box if nothing is done, in boxes, (2 horizon q,)."""
+        N, (q, n) = self.horizon, self.model.C.shape
+        ahead = np.zeros((N, n))
+        known = self.forecast[sample : sample + N]
+        ahead[: len(known)] = known
+        y = np.empty((N, q))
+        for k in range(N):
+            x = self.model.A @ x + ahead[k]
+            y[k] = (self.model.C @ x - r) / self.box
+        limit = np.where(np.arange(sample + 1, sample + N + 1) >= self.settle, 1.0, np.inf)[:, None]
+        return np.concatenate([(limit - y).ravel(), (limit + y).ravel()])
+
+    def step(self, state: FuelState, y: Any, r: Any) -> tuple[FuelState, np.ndarray]:
+        """The next state and the command.
+
+        Parameters
+        ----------
+        y : (n,) measured or estimated state
+        r : (q,) centre of the box, or (n,) a state whose output it is
+
+        Returns
+        -------
+        state, u : u is (m,), within the limits
+
+        Raises
+        ------
+        ModelError : `y` or `r` has the wrong size or is not finite.
+        NumericalError : HiGHS fails. There is no stale command.
+        """
+        q, n = self.model.C.shape
+        x, r = np.asarray(y, dtype=float), np.asarray(r, dtype=float)
+        if x.shape != (n,) or r.shape not in ((q,), (n,)):
+            raise ModelError(f"y has shape {x.shape}, r {r.shape}; pass the state ({n},) and the box's centre ({q},)")
+        if not (np.isfinite(x).all() and np.isfinite(r).all()):
+            raise ModelError(f"y is {x}, r is {r}; every entry must be finite")
+        centre = r if r.shape == (q,) else self.model.C @ r
+        solution = self.lp.solve(self.room(state.sample, x, centre), state.basis)
+        m = self.umax.size
+        u = self.umax * (solution.v[:m] - solution.v[self.horizon * m :][:m])
+        return FuelState(state.sample + 1, solution.basis), u
+
+
+def fuel_mpc(
+    model: Any,
+    *,
+    box: Any,
+    umax: Any,
+    horizon: int,
+    settle: int = 0,
+    forecast: Any = None,
+    penalty: float = 100.0,
+) -> FuelMpc:
+    """A predictive controller that keeps outputs in a box with least fuel.
+
+    Parameters
+    ----------
+    model : discrete system: m inputs whose integral of |u| is the fuel (accelerations), q outputs without direct term
+    box : scalar or (q,) half-widths, units of y
+    umax : scalar or (m,) limits of |u|
+    horizon : samples ahead; the box is to be seen from where it begins to count
+    settle : samples from the start before the box counts
+    forecast : (any, n) known increments of the state in each sample from the start; none unless given. What is not
+        known beforehand is left to the feedback: make the box smaller than the one required
+    penalty : price of one box of excess at one sample, in units of the largest command over one sample
+
+    Raises
+    ------
+    ModelError : an argument is not valid; the message names it, its value and the remedy.
+    """
+    model = StateSpace.of(model)
+    if not model.discrete:
+        raise ModelError(f"model has dt = {model.dt}; discretise it with c2d at the control period first")
+    if model.D.any():
+        raise ModelError("model has a direct term D; the outputs kept in a box are to be functions of the state")
+    count("horizon", horizon, 1)
+    count("settle", settle, 0)
+    widths, thrust = limits("box", box, model.ny), limits("umax", umax, model.nu)
+    for name, value in (("box", widths), ("umax", thrust)):
+        if not (value > 0).all():
+            raise ModelError(f"{name} is {value}; pass positive numbers")
+    if not (np.isfinite(penalty) and penalty > 0):
+        raise ModelError(f"penalty is {penalty}; pass a positive number")
+    known = np.zeros((0, model.n)) if forecast is None else as_matrix("forecast", forecast, (None, model.n))
+    problem, room, variables = pose(model, widths, thrust, horizon, penalty)
+    lp = canonicalise(problem, room, variables)
+    return FuelMpc(model=model, box=widths, umax=thrust, horizon=horizon, settle=settle, forecast=known, lp=lp)
+
+
+def pose(
+    model: StateSpace, box: np.ndarray, umax: np.ndarray, horizon: int, penalty: float
+) -> tuple[cp.Problem, cp.Parameter, list[cp.Variable]]:
+    """The program in CVXPY, its parameter, and the variables in the order of `FuelMpc.lp`."""
+    import cvxpy as cp
+
+    q, m, N = model.ny, model.nu, horizon
+    plus, minus = cp.Variable(N * m, name="plus"), cp.Variable(N * m, name="minus")  # units of umax
+    excess = cp.Variable(N * q, name="excess")  # boxes
+    room = cp.Parameter(2 * N * q, name="room")
+    moved = response(model, N) * np.tile(umax, N) / np.tile(box, N)[:, None] @ (plus - minus)
+    fuel = np.tile(umax, N) @ (plus + minus)
+    objective = cp.Minimize(fuel / umax.max() + penalty * cp.sum(excess))
+    sides: list[Any] = [moved - excess <= room[: N * q], -moved - excess <= room[N * q :]]
+    signs: list[Any] = [plus >= 0, minus >= 0, excess >= 0, plus <= 1, minus <= 1]
+    return cp.Problem(objective, sides + signs), room, [plus, minus, excess]
+
+
+def response(model: StateSpace, N: int) -> np.ndarray:
+    """Outputs at samples 1..N to held inputs at samples 0..N-1: block Toeplitz, (N q, N m)."""
+    q, m = model.ny, model.nu
+    blocks, X = [], model.B
+    for _ in range(N):
+        blocks.append(model.C @ X)
+        X = model.A @ X
+    T = np.zeros((N, q, N, m))
+    for lag, block in enumerate(blocks):
+        for k in range(lag, N):
+            T[k, :, k - lag] = block
+    return T.reshape(N * q, N * m)
+
+
+@dataclass(frozen=True, eq=False)
+class MinimumFuel:
+    """What a task costs at least, and impulses that do it for little more."""
+
+    lower: float  # no control does it for less: the dual value over the primer's peak
+    upper: float  # fuel of the impulses, >= lower
+    impulses: np.ndarray  # (samples, m) integral of u, at times 0, dt, ...
+    peak: float  # of the primer vector between the samples; 1 at the samples
+    motion: np.ndarray  # (samples + 1, q) outputs under the impulses
+
+
+def minimum_fuel(G: Any, free: Any, box: Any, *, dt: float, settle: int = 0) -> MinimumFuel:
+    """The least integral of |u|_1 with which any control keeps outputs in a box at the samples from `settle` on.
+
+    Parameters
+    ----------
+    G : continuous system: m inputs, q outputs, without direct term
+    free : (samples + 1, q) outputs without control at times 0, dt, 2 dt, ..., with whatever acts on the plant;
+        `free_motion` gives those of G alone
+    box : scalar or (q,) half-widths
+    dt : s, between the samples
+    settle : first sample at which the box counts
+
+    Raises
+    ------
+    ModelError : an argument is not valid.
+    NumericalError : the program was not solved: the task is impossible at any price, or badly scaled.
+
+    Notes
+    -----
+    `lower` holds for the linear G and every control, of any thrust, that meets the box at the samples; meeting it
+    between them as well costs no less. The primer's peak is looked for at `REFINED` points between two samples.
+    """
+    import cvxpy as cp
+
+    G = StateSpace.of(G)
+    if G.discrete or G.D.any():
+        raise ModelError(f"G has dt = {G.dt} and |D| = {np.abs(G.D).max():g}; pass a continuous system without D")
+    f = as_matrix("free", free, (None, G.ny))
+    widths, K, q, m = limits("box", box, G.ny), len(f) - 1, G.ny, G.nu
+    count("settle", settle, 1)
+    if settle > K:
+        raise ModelError(f"settle is {settle}, free ends at sample {K}; the box never counts")
+    if not (widths > 0).all():
+        raise ModelError(f"box is {widths}; pass positive half-widths")
+    step = sla.expm(G.A * (dt / REFINED))
+    impulse = StateSpace(sla.expm(G.A * dt), sla.expm(G.A * dt) @ G.B, G.C, G.D, dt)
+    moves = response(impulse, K)[(settle - 1) * q :]
+    scale = np.tile(widths, K - settle + 1)
+    rest = f[settle:].ravel() / scale
+    v = cp.Variable(K * m)
+    y = rest + (moves / scale[:, None]) @ v
+    sides: list[Any] = [y <= 1, -y <= 1]
+    problem = cp.Problem(cp.Minimize(cp.norm1(v)), sides)
+    problem.solve(solver="HIGHS")
+    if problem.status != "optimal" or v.value is None:
+        raise NumericalError(f"HiGHS ended with {problem.status!r}", {"highs": problem.status})
+    multipliers = sides[0].dual_value - sides[1].dual_value
+    peak = primer_peak(G, (multipliers / scale).reshape(-1, q), step, settle)
+    value = float(multipliers @ rest - np.abs(multipliers).sum())
+    motion = f[1:] + (response(impulse, K) @ v.value).reshape(K, q)
+    return MinimumFuel(
+        lower=value / max(peak, 1.0),
+        upper=float(np.abs(v.value).sum()),
+        impulses=v.value.reshape(K, m),
+        peak=peak,
+        motion=np.vstack([f[:1], motion]),
+    )
+
+
+def primer_peak(G: StateSpace, multipliers: np.ndarray, step: np.ndarray, settle: int) -> float:
+    """Largest entry of the primer vector, backwards over the samples and `REFINED` points between them."""
+    costate, peak = np.zeros(G.n), 0.0
+    for k in range(len(multipliers) + settle - 1, 0, -1):
+        if k >= settle:
+            costate = costate + G.C.T @ multipliers[k - settle]
+        for _ in range(REFINED):
+            peak = max(peak, float(np.abs(G.B.T @ costate).max()))
+            costate = step.T @ costate
+        peak = max(peak, float(np.abs(G.B.T @ costate).max()))
+    return peak
+
+
+def free_motion(G: Any, x0: Any, *, dt: float, samples: int) -> np.ndarray:
+    """Outputs of a continuous system without control from the state `x0`, at 0, dt, ..., (samples + 1, q)."""
+    G = StateSpace.of(G)
+    A, x, y = sla.expm(G.A * dt), np.asarray(x0, dtype=float), []
+    for _ in range(samples + 1):
+        y.append(G.C @ x)
+        x = A @ x
+    return np.array(y)
