@@ -27,7 +27,7 @@ import scipy.linalg as sla
 from synth.errors import ModelError, NumericalError
 from synth.parametriclp import ParametricLp, canonicalise
 from synth.predictive import count, limits
-from synth.statespace import StateSpace, as_matrix
+from synth.statespace import StateSpace, as_matrix, c2d
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -267,11 +267,22 @@ def primer_peak(G: StateSpace, multipliers: np.ndarray, step: np.ndarray, settle
     return peak
 
 
-def free_motion(G: Any, x0: Any, *, dt: float, samples: int) -> np.ndarray:
-    """Outputs of a continuous system without control from the state `x0`, at 0, dt, ..., (samples + 1, q)."""
-    G = StateSpace.of(G)
-    A, x, y = sla.expm(G.A * dt), np.asarray(x0, dtype=float), []
-    for _ in range(samples + 1):
+def free_motion(G: Any, x0: Any, *, dt: float, samples: int, held: Any = None) -> np.ndarray:
+    """Outputs of a continuous system from the state `x0` at 0, dt, ..., (samples + 1, q), without control.
+
+    Parameters
+    ----------
+    held : (samples, m) inputs that act anyway, such as known perturbations, each held for one sample; none unless given
+
+    Raises
+    ------
+    ModelError : G is discrete, or a shape does not fit.
+    """
+    G = c2d(StateSpace.of(G), dt)
+    x = as_matrix("x0", x0, (1, G.n))[0]
+    inputs = np.zeros((samples, G.nu)) if held is None else as_matrix("held", held, (samples, G.nu))
+    y = [G.C @ x]
+    for u in inputs:
+        x = G.A @ x + G.B @ u
         y.append(G.C @ x)
-        x = A @ x
     return np.array(y)

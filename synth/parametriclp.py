@@ -45,7 +45,7 @@ class ParametricLp:
     """
 
     c: np.ndarray  # (N,)
-    A: sp.csc_array  # (M, N)
+    A: np.ndarray  # (M, N)
     lower: np.ndarray  # (N,)
     upper: np.ndarray  # (N,)
     scratch: threading.local = field(init=False, repr=False, default_factory=threading.local)
@@ -55,7 +55,7 @@ class ParametricLp:
 
     def workspace(self) -> Any:
         """HiGHS with this program and no right-hand side yet."""
-        A: Any = self.A
+        A: Any = sp.csc_array(self.A)
         M, N = A.shape
         model: Any = highspy.HighsLp()
         model.num_col_, model.num_row_ = N, M
@@ -143,4 +143,4 @@ def canonicalise(problem: cp.Problem, room: cp.Parameter, variables: list[cp.Var
             upper[i] = min(upper[i], offset[row] / a)
         else:
             lower[i] = max(lower[i], offset[row] / a)
-    return ParametricLp(c, sp.csc_array(A[rows]), lower, upper)
+    return ParametricLp(c, A[rows].toarray(), lower, upper)

@@ -61,6 +61,15 @@ def test_bound_of_coming_to_rest():
     assert found.peak > 1
 
 
+def test_bound_under_a_known_push():
+    """Against a constant acceleration a over a long time T in a narrow box: about a T, whatever the control."""
+    free = free_motion(integrators(), [0.0, 0.0], dt=2.0, samples=50, held=np.full((50, 1), 1e-3))
+    np.testing.assert_allclose(free[:, 0], 5e-4 * (2.0 * np.arange(51)) ** 2)
+    found = minimum_fuel(integrators(), free, 1e-3, dt=2.0, settle=1)
+    assert found.lower == pytest.approx(0.1, rel=0.05)
+    assert found.lower <= found.upper
+
+
 def test_no_control_beats_the_bound():
     """Held inputs, impulses and any mixture, from random programs that keep the box."""
     G, rng = clohessy_wiltshire(), np.random.default_rng(0)
