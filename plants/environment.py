@@ -187,7 +187,7 @@ def magnetic_field(r: np.ndarray, epoch: datetime, times: np.ndarray) -> np.ndar
     three days).
     """
     middle = _utc(epoch, float(times[-1])) + timedelta(seconds=float(times[-1]) / 2)
-    utc1, utc2, tt1, tt2 = _julian(epoch, times)
+    utc1, utc2, tt1, tt2 = julian(epoch, times)
     to_earth = erfa.c2t06a(tt1, tt2, utc1, utc2, 0.0, 0.0)  # (n, 3, 3) GCRS to ITRS
     x, y, z = np.moveaxis((to_earth @ r[..., None])[..., 0], -1, 0)
     distance = np.linalg.norm(r, axis=-1)
@@ -204,7 +204,7 @@ def magnetic_field(r: np.ndarray, epoch: datetime, times: np.ndarray) -> np.ndar
 
 def sun_position(epoch: datetime, times: np.ndarray) -> np.ndarray:
     """Geocentric position of the Sun in m, frame N, at the times (n,) s after `epoch`: (n, 3). erfa.epv00."""
-    _, _, tt1, tt2 = _julian(epoch, times)
+    _, _, tt1, tt2 = julian(epoch, times)
     heliocentric, _ = erfa.epv00(tt1, tt2)
     return -erfa.DAU * heliocentric["p"]
 
@@ -233,7 +233,7 @@ def _without_jumps(q: np.ndarray) -> np.ndarray:
     return np.concatenate([q[..., :1, :], signs[..., None] * q[..., 1:, :]], axis=-2)
 
 
-def _julian(epoch: datetime, times: np.ndarray) -> tuple[np.ndarray, ...]:
+def julian(epoch: datetime, times: np.ndarray) -> tuple[np.ndarray, ...]:
     """Two-part Julian dates, UTC and TT, at times (n,) s after the epoch."""
     utc = _utc(epoch, float(times[-1]))
     seconds = utc.second + utc.microsecond * 1e-6
