@@ -6,8 +6,9 @@ the ideal point, x radial, y east, z north (`plants.relative`); the satellite's 
 accelerations in m/s^2, so that fuel is delta-v in m/s, the sum over the axes, as six thrusters would spend it.
 """
 
+from dataclasses import replace
 from datetime import datetime
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,11 +19,12 @@ from jax.typing import ArrayLike
 from plants import gravity
 from plants.checks import real
 from plants.errors import ScenarioError
+from plants.indices import settling_time
 from plants.linearize import LinearModel, linearize
-from plants.loop import Loop, Scenario
+from plants.loop import Loop, Run, Scenario
 from plants.relative import EARTH_RATE, Sky, Station, StationState
-from plants.tracking import StateSensor, Unfiltered
-from plants.thrusters import Thrusters
+from plants.thrusters import PulsedThrusters, Thrusters
+from plants.tracking import StateSensor, StationEkf, Tracking, Unfiltered, station_ekf
 
 DAY = 86400.0  # () s
 MASS = 1000.0  # () kg, ours
@@ -34,7 +36,23 @@ OFFSET = np.repeat([100.0, 0.0], 3)  # (6,) m, m/s: section 6.2
 FORCE, WEAK_FORCE = 100.0, 1.0  # () N of each axis: sections 6.2 and 6.2.3
 BOX, SETTLE, END = 0.1, 6000.0, 60000.0  # () m, () s, () s: within 10 cm after 100 of 1000 minutes, section 6.2
 PULSE = 0.1  # () s, shortest pulse, ours
-LONGEST_STEP = 120.0  # () s, of RK4: 1e-9 of the distance from the ideal point in two weeks
+SAMPLE = 60.0  # () s, between two measurements, ours
+TRACKING_NOISE = np.array([10.0, 1e-3, 100.0, 100.0])  # (4,) m, m/s, m, m, one sigma, ours
+PUSH_NOISE = 1e-7  # () m/s^2, random acceleration of each sample, ours
+WALK = 1e-10  # () m/s^2/sqrt(s), of what is left when Moon and Sun are known, ours
+TIDE_WALK = 1e-8  # () m/s^2/sqrt(s), of Moon, Sun and sunlight when they are not: 8e-6 m/s^2 twice a day, ours
+LONGEST_STEP = 600.0  # () s, of RK4: 0.3 mm after two days and 10 km of drift
+
+
+class Outcome(NamedTuple):
+    """A run in numbers; infinite if it failed."""
+
+    delta_v: np.ndarray  # (3,) m/s of each axis, up to the last row
+    per_day: float  # () m/s per day, of all axes
+    settling_time: float  # () s, after which every coordinate of the position stays within the box
+    farthest: float  # () m, largest coordinate of the position after the time asked for
+    violation: float  # () m, by which that passes the box, 0 if it does not
+    outside: float  # () share of the rows after that time with a coordinate outside the box
 
 
 def satellite(longitude: float = LONGITUDE) -> Station:
@@ -47,14 +65,53 @@ def unperturbed(longitude: float = LONGITUDE) -> Station:
     return Station.create(longitude, harmonics=gravity.SPHERE, moon=0.0, sun=0.0)
 
 
+def tracking(noise: ArrayLike = TRACKING_NOISE) -> Tracking:
+    """Measurements of section 3.3 and of the longitude; the thesis's alone with three deviations."""
+    return Tracking.create(float(satellite().radius), noise)
+
+
+def ekf(
+    above: Sky,
+    *,
+    sensors: Tracking | None = None,
+    model: Station | None = None,
+    walk: float = WALK,
+    guess: ArrayLike = np.zeros(6),  # noqa: B008 (not changed)
+) -> StationEkf:
+    """The filter of chapter 3 with a longitude and an unknown acceleration.
+
+    Parameters
+    ----------
+    above : surroundings of the run
+    sensors : `tracking()` by default
+    model : what the filter knows, `satellite()` by default, for which Moon and Sun come from an almanac on board;
+        the thesis's is `oblate()` (equation 3.14), to be given with `walk` = `TIDE_WALK`
+    walk : () m/s^2/sqrt(s), of the unknown acceleration
+    guess : (6,) m, m/s
+
+    Raises
+    ------
+    ScenarioError
+        The sensors leave a direction unknown, as the thesis's three measurements do.
+    """
+    return station_ekf(
+        model or satellite(), sensors or tracking(), above, push=PUSH_NOISE, walk=walk, h=SAMPLE, guess=guess
+    )
+
+
+def oblate(longitude: float = LONGITUDE) -> Station:
+    """The satellite under the attraction of an oblate Earth alone."""
+    return Station.create(longitude, harmonics=gravity.OBLATE, moon=0.0, sun=0.0)
+
+
 def sky(duration: float, *, longitude: float = LONGITUDE, epoch: datetime = EPOCH) -> Sky:
     """Moon, Sun and pole for `duration` s."""
     return Sky.over(longitude, epoch, duration)
 
 
-def at_rest(start: ArrayLike = np.zeros(6)) -> StationState:  # noqa: B008 (immutable use)
+def at_rest(start: ArrayLike = np.zeros(6)) -> StationState:  # noqa: B008 (not changed)
     """State from position and velocity (6,) m and m/s relative to the ideal point; no fuel spent yet."""
-    start = real("start", start, (6,))
+    start = np.asarray(real("start", start, (6,)))
     return StationState(position=start[:3], velocity=start[3:], spent=np.zeros(3))
 
 
@@ -110,6 +167,57 @@ def case(
     return loop, scenario
 
 
+def operational(
+    controller: Any, start: ArrayLike, duration: float, *, force: float = WEAK_FORCE, run: int = 0, seed: int = 0
+) -> tuple[Loop, Scenario]:
+    """The same with all perturbations, tracked through the filter, and with thrusters that are on or off.
+
+    Sampled every `SAMPLE` s, of which the control period must be a whole number; `ScenarioError` otherwise, and for
+    what `case` refuses. The filter starts at the true state with the uncertainty of `station_ekf`.
+    """
+    loop, scenario = case(controller, start, duration, limit=force, run=run, seed=seed)
+    samples = round(scenario.dt / SAMPLE)
+    if samples < 1 or abs(samples * SAMPLE - scenario.dt) > 1e-9 * scenario.dt:
+        raise ScenarioError(f"controller.dt = {scenario.dt} s must be a whole number of samples of {SAMPLE} s")
+    loop = replace(
+        loop,
+        sensors=tracking(),
+        navigator=ekf(sky(duration), guess=start),
+        actuator=PulsedThrusters.create(MASS, force, shortest=PULSE, period=SAMPLE),
+    )
+    return loop, replace(scenario, samples=samples, steps=1)
+
+
+def outcome(run: Run, *, box: float = BOX, since: float = SETTLE) -> Outcome:
+    """What became of a run of this study, on the grid of its rows; the fuel is exact whatever the grid.
+
+    Parameters
+    ----------
+    run : of a `Station`
+    box : () m, half-width of the box that every coordinate of the position is to be kept in
+    since : () s, when it must be there
+
+    Raises
+    ------
+    ScenarioError
+        The run has no row after `since`.
+    """
+    if not run.ok:
+        return Outcome(np.full(3, np.inf), *(np.inf,) * 5)
+    largest, late = np.abs(run.outputs[:, :3]).max(axis=1), run.time >= since
+    if not late.any() or run.time[-1] == 0:
+        raise ScenarioError(f"since = {since} s is after the last row at {run.time[-1]} s, or that is the first")
+    farthest = largest[late].max()
+    return Outcome(
+        delta_v=run.states.spent[-1],
+        per_day=float(run.states.spent[-1].sum() / run.time[-1] * DAY),
+        settling_time=settling_time(run.time, largest, np.nextafter(box, np.inf)),
+        farthest=float(farthest),
+        violation=float(max(farthest - box, 0.0)),
+        outside=float((largest[late] > box).mean()),
+    )
+
+
 def perturbation(times: ArrayLike) -> np.ndarray:
     """Acceleration relative to the ideal point of a satellite that rests there, at `times` (n,) s: (n, 3) m/s^2."""
     times = np.asarray(real("times", times, (None,), low=0))
@@ -136,4 +244,4 @@ def _model(harmonics: gravity.Harmonics) -> LinearModel:
 @jax.jit
 def _perturbation(plant: Station, above: Sky, times: Array) -> Array:
     rest = StationState(*(jnp.zeros(3),) * 3)
-    return jax.vmap(lambda t: plant.derivative(rest, jnp.zeros(3), above.at(t)).velocity)(times)
+    return jax.vmap(lambda t: jnp.asarray(plant.derivative(rest, jnp.zeros(3), above.at(t)).velocity))(times)

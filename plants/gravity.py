@@ -67,7 +67,9 @@ class Harmonics:
         odd = [0 * x, 3 * y * z, 6 * x * y,
                0 * x, y * (7.5 * z * z - 1.5 * square), 30 * x * y * z,
                15 * y * (3 * x * x - y * y)]  # fmt: skip
-        scale = MU / jnp.sqrt(square) * (EARTH_RADIUS / square) ** DEGREES
+        scale = (
+            MU / jnp.sqrt(square) * jnp.stack([(EARTH_RADIUS / square) ** 2] * 3 + [(EARTH_RADIUS / square) ** 3] * 4)
+        )
         return jnp.sum(scale * (jnp.asarray(self.cosine) * jnp.stack(even) + self.sine * jnp.stack(odd)))
 
 
@@ -88,8 +90,9 @@ def third_body(r: ArrayLike, body: ArrayLike, mu: ArrayLike) -> Array:
 
     The difference of what the body does to the satellite and to the Earth; it does not point at the body.
     """
+    body = jnp.asarray(body)
     d = body - jnp.asarray(r)
-    return mu * (d / dot(d, d) ** 1.5 - body / dot(body, body) ** 1.5)
+    return jnp.asarray(mu) * (d / dot(d, d) ** 1.5 - body / dot(body, body) ** 1.5)
 
 
 def sunlight(r: ArrayLike, sun: ArrayLike, coefficient: ArrayLike) -> Array:
@@ -105,7 +108,8 @@ def sunlight(r: ArrayLike, sun: ArrayLike, coefficient: ArrayLike) -> Array:
     """
     d = sun - jnp.asarray(r)
     square = dot(d, d)
-    return -SOLAR_PRESSURE * AU**2 * coefficient * sunlit(r, sun) / (square * jnp.sqrt(square)) * d
+    push = SOLAR_PRESSURE * AU**2 * jnp.asarray(coefficient) * sunlit(r, sun)
+    return -push / (square * jnp.sqrt(square)) * d
 
 
 def sunlit(r: ArrayLike, sun: ArrayLike) -> Array:

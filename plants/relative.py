@@ -197,7 +197,7 @@ class Station:
         return x
 
 
-def _about_pole(angle: Array, v: Array) -> Array:
-    """v (3,) in axes turned by `angle` about z."""
+def _about_pole(angle: ArrayLike, v: Array) -> Array:
+    """The vector v (3,) in axes turned by `angle` about z."""
     c, s = jnp.cos(angle), jnp.sin(angle)
     return jnp.stack([c * v[0] + s * v[1], c * v[1] - s * v[0], v[2]])

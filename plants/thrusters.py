@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -76,10 +77,11 @@ class PulsedThrusters:
             NaN, a number that is not positive, a period that is not a whole number of pulses.
         """
         push = _positive("force", force) / _positive("mass", mass)
-        most = _positive("period", period) / _positive("shortest", shortest)
-        if abs(most - round(most)) > 1e-9 * most or round(most) < 1:
+        pulses = float(_positive("period", period) / _positive("shortest", shortest))
+        most = np.round(pulses)
+        if abs(pulses - most) > 1e-9 * pulses or most < 1:
             raise ScenarioError(f"period = {period} s must be a whole number of shortest pulses of {shortest} s")
-        return cls(limit=push, bit=push / round(most), most=real("most", round(most)))
+        return cls(limit=push, bit=push / most, most=real("most", most))
 
     def init(self) -> Array:
         """What is owed, (3,) m/s^2 over a sample: nothing yet."""
@@ -89,7 +91,7 @@ class PulsedThrusters:
         """What is owed now, and the acceleration (3,) m/s^2 that the pulses amount to."""
         del x
         asked = jnp.clip(jnp.asarray(command), -self.limit, self.limit) + s
-        fired = self.bit * jnp.clip(jnp.round(asked / self.bit), -self.most, self.most)
+        fired = jnp.asarray(self.bit) * jnp.clip(jnp.round(asked / self.bit), -self.most, self.most)
         return asked - fired, fired
 
 
