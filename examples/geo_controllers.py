@@ -7,6 +7,9 @@ brought within 10 cm in 100 minutes on the linear plant.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 
 from synth.controller import LinearController, state_feedback
@@ -19,7 +22,7 @@ from synth.statespace import StateSpace, c2d
 
 THESIS_LQR, LQR, LQG = "LQR of the thesis", "LQR, tuned", "LQG"
 MIXED, MIXED_TUNED, FOUR_BLOCK = "H-infinity of the thesis", "H-infinity, tuned", "H-infinity, four blocks"
-FUEL = "least-fuel MPC"
+FORESEEING, FUEL = "LQR, tuned, foreseeing", "least-fuel MPC"
 MINUTE = 60.0  # s
 # unit of time in s and the second number of each structure; a 3 % longer unit misses the 10 cm
 UNITS = {LQR: (740.0, 1.5), LQG: (620.0, 32.0), MIXED_TUNED: (715.0, 0.8), FOUR_BLOCK: (530.0, 1.0)}
@@ -96,6 +99,29 @@ def regulator(n: float, unit: float, dt: float, *, rate: float = 0.0) -> LinearC
     G = relative_motion(n, unit)
     K = lqr(G.A, G.B, np.diag([1.0] * 3 + [rate] * 3), I3)[0]
     return state_feedback(np.hstack([K[:, :3] / unit**2, K[:, 3:] / unit]), dt)
+
+
+@dataclass(frozen=True)
+class Foreseeing:
+    """A controller that takes off what is known to act in each sample."""
+
+    controller: LinearController
+    known: np.ndarray  # (samples, 3) m/s^2
+
+    @property
+    def dt(self) -> float:
+        """Sampling time in seconds."""
+        return self.controller.dt
+
+    def init(self) -> tuple[int, Any]:
+        """The first sample."""
+        return 0, self.controller.init()
+
+    def step(self, state: tuple[Any, Any], y: Any, r: Any) -> tuple[tuple[Any, Any], Any]:
+        """(state, y, r) -> (state, u)."""
+        sample, inner = state
+        inner, u = self.controller.step(inner, y, r)
+        return (sample + 1, inner), u - self.known[sample]
 
 
 def linear(n: float, dt: float) -> tuple[dict[str, LinearController], dict[str, Design]]:
