@@ -306,8 +306,8 @@ def other_tables(found: Study) -> list[Table]:
         Table("Keeping a box", ("box, m", "bound", "m/s per day", "radial", "along", "normal", "farthest, m"), kept,
               note=f"{design.FUEL}, perturbations foreseen. The first row is what holding the point costs from 100 "
               f"minutes on in the first table. The others: {found.days:g} days from rest at the ideal point, 1 N; "
-              f"between the samples, of {SLOW / 60:g} minutes, the box is not looked at. The bound, m/s per day, is that "
-              "of the whole box, the margin included."),
+              f"between the samples, of {SLOW / 60:g} minutes, the box is not looked at. The bound, m/s per day, is "
+              "that of the whole box, the margin included."),
     ]  # fmt: skip
 
 
