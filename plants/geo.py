@@ -6,7 +6,7 @@ the ideal point, x radial, y east, z north (`plants.relative`); the satellite's 
 accelerations in m/s^2, so that fuel is delta-v in m/s, the sum over the axes, as six thrusters would spend it.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any, NamedTuple
 
@@ -216,6 +216,22 @@ def outcome(run: Run, *, box: float = BOX, since: float = SETTLE) -> Outcome:
         violation=float(max(farthest - box, 0.0)),
         outside=float((largest[late] > box).mean()),
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coast:
+    """No thrust, as a controller."""
+
+    dt: float  # () s, control period
+
+    def init(self) -> tuple[()]:
+        """No state."""
+        return ()
+
+    def step(self, state: tuple[()], y: Array, r: Array) -> tuple[tuple[()], Array]:
+        """Nothing."""
+        del r
+        return state, 0.0 * y[:3]
 
 
 def perturbation(times: ArrayLike) -> np.ndarray:

@@ -65,7 +65,7 @@ def test_radius_of_the_station():
 
 
 def test_acceleration_along_the_equator():
-    """-2.1e-8 m/s^2 at 0, 6.5e-8 at 120 E and none near 75 E: what is slowed falls and gets ahead, so 75 E is stable."""
+    """-2.1e-8 m/s^2 at 0, 6.5e-8 at 120 E, none near 75 E: what is slowed falls and gets ahead, so 75 E is stable."""
     r = gravity.station_radius(7.2921151e-5, OBLATE)
     along = [float(gravity.earth([r, 0, 0], EGM96.seen_from(np.radians(deg)))[1]) for deg in (0, 75, 120)]
     np.testing.assert_allclose(along, [-2.1e-8, 0, 6.5e-8], rtol=0, atol=1e-9)
