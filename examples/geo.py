@@ -19,6 +19,7 @@ from geo_figures import sections
 from plants import geo, study
 from plants.geo import BOX, DAY, END, FORCE, MASS, OFFSET, SETTLE, WEAK_FORCE
 from plants.loop import Run
+from plants.report import Requirement
 from plants.simulate import simulate, simulate_many
 from plants.study import Table
 from synth.design import Design
@@ -311,6 +312,24 @@ def other_tables(found: Study) -> list[Table]:
     ]  # fmt: skip
 
 
+def requirements(found: Study) -> list[Requirement]:
+    """Section 6.2 for predictive control, and our own: within 10 % of the bound."""
+    margins = []
+    for flights, name, world in ((found.chapter6, HOLD, ""), (found.perturbed, PERTURBED, ", perturbed")):
+        if flight := flights.get(design.FUEL):
+            lower = found.bounds[name].lower
+            margins += [
+                Requirement(f"position from 100 minutes on{world}", 100 * flight.farthest(SETTLE), 100 * BOX, "cm"),
+                Requirement(f"delta-v over its bound{world}", flight.delta_v() / lower, 1.1, ""),
+            ]
+    return margins
+
+
+def stem(name: str) -> str:
+    """A file name."""
+    return name.lower().replace(",", "").replace(" ", "_").replace("-", "_")
+
+
 def main(arguments: list[str] | None = None) -> int:
     """The command line."""
     parser = study.parser(__doc__, out="out/geo", fast="two days of box keeping, one noisy run", runs=3,
@@ -330,9 +349,15 @@ def main(arguments: list[str] | None = None) -> int:
         "station keeping by optimal and H-infinity control",
         tables=[task_table(found), *other_tables(found)],
         statements=statements(found),
+        requirements=requirements(found),
+        cards=[study.card(name, d, options.out, stem(name)) for name, d in found.designs.items()],
         sections=sections(found),
         settings=f"{runs} noisy runs, seed {options.seed}, {days} days of box keeping",
         packages=("cvxpy", "highspy", "clarabel"),
+        notes=[
+            "the designs are in their own units of time: "
+            + ", ".join(f"{name} {design.UNITS.get(name, (design.MINUTE,))[0]:g} s" for name in found.designs)
+        ],
     )
 
 

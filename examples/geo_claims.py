@@ -46,7 +46,10 @@ def statements(found: Study) -> list[Statement]:
     def total() -> Verdict:
         sums = found.chapter6[design.THESIS_LQR].delta_v(found.settle) / TOTAL
         verdict = "holds" if abs(sums - REGULATOR_TOTAL) < TOLERANCE * REGULATOR_TOTAL else "does not hold"
-        return verdict, f"{sums:.4f} km/min^2, which is {sums * TOTAL:.2f} m/s; the unit is not N"
+        return verdict, (
+            f"{sums:.4f} ({sums / REGULATOR_TOTAL - 1:+.1%}); the unit is km/min^2 summed over samples of 0.1 min, "
+            f"not N: {sums * TOTAL:.2f} m/s"
+        )
 
     def impossible() -> Verdict:
         claimed = HINF_TOTAL * TOTAL

@@ -10,6 +10,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
+from plants import figures
 from plants.report import STYLE, Section
 from plants.study import drawings
 
@@ -17,24 +18,18 @@ if TYPE_CHECKING:
     from geo import Flight, Study
 
 AXES = ("x", "y", "z")  # radial, along the track, normal to the plane
+FLOOR = 1e-4  # m, below which a logarithm shows nothing
 MINUTE = 60.0  # s
 SHOWN = (design.THESIS_LQR, design.MIXED, design.LQR, design.FUEL)
 
 
 def distance(flights: Mapping[str, Flight], box: float, settle: float) -> Figure:
     """The error in each axis on a logarithmic scale, with the box it is to be in from `settle` s on."""
-    with mpl.rc_context(STYLE):
-        fig = Figure(figsize=(8.0, 5.2), layout="constrained")
-        for i, (ax, label) in enumerate(zip(fig.subplots(3, 1, sharex=True), AXES, strict=True)):
-            for name, flight in flights.items():
-                shown = flight.time <= 3 * settle
-                size = np.maximum(np.abs(flight.position[shown, i]), 1e-4)
-                ax.semilogy(flight.time[shown] / MINUTE, size, label=name, rasterized=True)
-            ax.plot([settle / MINUTE, 3 * settle / MINUTE], [box, box], color="#c0322b", ls="--", lw=0.9)
-            ax.set_ylabel(f"|{label}|, m")
-        fig.axes[-1].set_xlabel("time, min")
-        fig.legend(*fig.axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
-        return fig
+    series = {name: (flight.time, np.maximum(np.abs(flight.position), FLOOR)) for name, flight in flights.items()}
+    fig = figures.histories(series, [f"|{axis}|, m" for axis in AXES], until=3 * settle, scale="log")
+    for ax in fig.axes:
+        ax.plot([settle, 3 * settle], [box, box], color="#c0322b", ls="--", lw=0.9)
+    return fig
 
 
 def forces(flights: Mapping[str, Flight], until: float) -> Figure:
@@ -54,16 +49,8 @@ def forces(flights: Mapping[str, Flight], until: float) -> Figure:
 
 def far(flights: Mapping[str, Flight]) -> Figure:
     """Distance from the ideal point, 1 km and 1 N."""
-    with mpl.rc_context(STYLE):
-        fig = Figure(figsize=(8.0, 3.4), layout="constrained")
-        ax = fig.subplots()
-        for name, flight in flights.items():
-            size = np.maximum(np.linalg.norm(flight.position, axis=1), 1e-3)
-            ax.semilogy(flight.time / MINUTE, size, label=name, rasterized=True)
-        ax.set_xlabel("time, min")
-        ax.set_ylabel("distance, m")
-        fig.legend(loc="outside right upper")
-        return fig
+    series = {name: (f.time, np.linalg.norm(f.position, axis=1, keepdims=True)) for name, f in flights.items()}
+    return figures.histories(series, ["distance, m"], scale="log")
 
 
 def keeping(flights: Mapping[float, Flight], boxes: Sequence[float]) -> Figure:

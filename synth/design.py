@@ -119,6 +119,11 @@ class Design:
         facts |= {"gamma": f"{self.gamma:.7g}", "verified norm": f"{self.verified_norm:.7g}"}
         beyond = not self.plant.dt and self.info.frequency > INFINITE * np.abs(self.closed_loop.poles()).max(initial=0)
         facts |= {"peak at": "infinity" if beyond else f"{self.info.frequency:.4g} rad/s", "method": self.info.method}
+        if self.info.shifted_norm is not None:
+            facts |= {
+                "shift of the axis": f"{self.info.shift:g} rad/s",
+                "shifted norm": f"{self.info.shifted_norm:.7g}",
+            }
         return facts | {"plant sha256": self.plant.system.digest()[:16]}
 
     def _repr_html_(self) -> str:

@@ -76,6 +76,7 @@ def test_what_the_shift_guarantees(thesis):
 def test_the_shifted_design_is_saved_and_read(thesis, tmp_path):
     again = synth.Design.load(thesis.save(tmp_path / "design.json"))
     assert (again.info.shift, again.info.shifted_norm) == (0.1, thesis.info.shifted_norm)
+    assert again.facts["shift of the axis"] == "0.1 rad/s"
 
 
 def test_poles_on_the_axis_are_refused_by_name():
