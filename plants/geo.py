@@ -41,7 +41,7 @@ TRACKING_NOISE = np.array([10.0, 1e-3, 100.0, 100.0])  # (4,) m, m/s, m, m, one 
 PUSH_NOISE = 1e-7  # () m/s^2, random acceleration of each sample, ours
 WALK = 1e-10  # () m/s^2/sqrt(s), of what is left when Moon and Sun are known, ours
 TIDE_WALK = 1e-8  # () m/s^2/sqrt(s), of Moon, Sun and sunlight when they are not: 8e-6 m/s^2 twice a day, ours
-LONGEST_STEP = 600.0  # () s, of RK4: 0.3 mm after two days and 10 km of drift
+LONGEST_STEP = 600.0  # () s, of RK4: 3e-8 of the distance from the ideal point per radian of the orbit
 
 
 class Outcome(NamedTuple):

@@ -6,7 +6,7 @@ r = radius e_x + rho moves by
     rho'' = a(r) + u - 2 w x rho' - w' x r - w x (w x r)
 
 with everything that acts in a(r). The rate w of the frame is that of the Earth's rotation about the celestial
-intermediate pole, and of the pole itself (3e-12 rad/s, yet in resonance with the motion in z: 20 m in two days). No
+intermediate pole, and of the pole itself (3e-12 rad/s, yet in resonance with the motion in z: 12 m in two days). No
 term is linearised, and an inertial integration differenced against the point gives the same.
 """
 
@@ -30,7 +30,7 @@ from plants.errors import ScenarioError
 from plants.gravity import Harmonics
 
 EARTH_RATE = 2 * np.pi * 1.00273781191135448 / 86400  # () rad/s  of the Earth rotation angle, IERS (2010), eq. 5.15
-STEP = 3600.0  # () s, of the table: Moon within 1 m, Sun within 0.1 km
+STEP = 3600.0  # () s, of the table: Moon and Sun within 0.1 m
 
 
 class SkyEnv(NamedTuple):

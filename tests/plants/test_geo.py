@@ -75,7 +75,7 @@ def test_bad_numbers(make, field):
 
 @pytest.mark.slow
 def test_the_loop_as_it_flies():
-    """Filter and pulses of 0.1 N s for half a day: whole pulses, and the satellite comes home within the tracking error."""
+    """Filter and pulses of 0.1 N s for half a day: whole pulses, and the satellite comes home."""
     run = simulate(*geo.operational(Damper(600.0), 10 * geo.OFFSET, 43200.0))
     assert run.ok
     pulses = run.inputs * geo.MASS * geo.SAMPLE / (geo.WEAK_FORCE * geo.PULSE)

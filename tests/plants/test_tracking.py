@@ -28,7 +28,7 @@ def _double():
 def test_measurements_are_those_of_the_thesis():
     """3.13: r2^2 - r1^2 over 2 r1, r2 r2' over r1, r2 sin(latitude); and the arc to the ideal point."""
     p, v = np.array([3000.0, -8000.0, 2000.0]), np.array([0.3, -0.2, 0.5])
-    r = p + [R1, 0, 0]
+    r = p + np.array([R1, 0, 0])
     _, y = geo.tracking().measure((), StationState(p, v, np.zeros(3)), None, jnp.zeros(4), 0.0)
     expected = [(r @ r - R1**2) / (2 * R1), r @ v / R1, r[2], R1 * np.arctan2(r[1], r[0])]
     np.testing.assert_allclose(y, expected, rtol=1e-9)
@@ -114,7 +114,7 @@ def test_errors_are_as_large_as_the_filter_says(flights):
 
 @pytest.mark.slow
 def test_errors_of_a_filter_that_knows_all(flights):
-    """The reference reports rms of x 0.67, y 3.4, z 4.4 m for q = 1e-7 m/s^2; six runs of ours give it within a third."""
+    """The reference reports rms of x 0.67, y 3.4, z 4.4 m for q = 1e-7 m/s^2; ours is within a third."""
     rms = np.sqrt((errors(flights[2])[..., :3] ** 2).mean((0, 1)))
     np.testing.assert_allclose(rms, [0.67, 3.4, 4.4], rtol=0.35)
 
@@ -150,7 +150,7 @@ def test_covariance_is_the_solution_of_the_riccati_equation(flights):
 
 @pytest.mark.slow
 def test_without_the_longitude_an_error_along_the_track_stays():
-    """What `station_ekf` refuses, built by hand: of two filters 100 m apart at the start one is as good as the other."""
+    """What `station_ekf` refuses, built by hand: two filters 100 m apart at the start stay so."""
     pair = []
     for offset in (0.0, 100.0):
         loop, scenario = tracked(0, geo.satellite(), 0.0, guess=np.array([0, offset, 0, 0, 0, 0]))
