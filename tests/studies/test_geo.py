@@ -110,6 +110,10 @@ def test_boxes_are_kept_and_larger_ones_are_cheaper(flown):
         lower = found.kept_bounds[box].lower
         assert flight.farthest(0) <= box
         assert 0.98 * lower <= flight.delta_v() <= 1.5 * lower  # two days are too few for the margin not to count
+        operated = found.operated[box]  # through filter and pulses: the wide box is kept, the narrow one is left
+        assert operated.run.ok
+        assert operated.farthest(0) <= box + 50
+        assert lower <= operated.delta_v() <= 3 * lower
     # holding the point; 0.54 m/s per day in an independent simulation
     point = found.perturbed[design.FUEL]
     held = (point.delta_v() - point.delta_v(study.SETTLE)) * geo.DAY / (study.END - study.SETTLE)
