@@ -2,11 +2,13 @@
 
     [plant]           matrices A, B, C, D (or A, B1, ..., D22) and dt, or file = "plant.json" (or .mat) beside it;
                       sample = 0.5 discretises a continuous plant, hold = "zoh" (default) or "tustin"; u, y, units
-    [synthesis]       problem = "tracking", "generalized" or "loopshaping"; method, gamma; for loop shaping also
-                      gamma_factor, and feedback = "negative" for a controller that acts on r - y
-    [weights]         tracking: Wproc, Wdist, Werr, Wact, Wr; loop shaping: W1, W2 (matrices or tables A, B, C, D)
+    [synthesis]       problem = "tracking", "generalized", "loopshaping" or "mixedsensitivity"; method, gamma; for loop
+                      shaping also gamma_factor, and feedback = "negative" for a controller that acts on r - y; for
+                      mixed sensitivity also shift
+    [weights]         tracking: Wproc, Wdist, Werr, Wact, Wr; loop shaping: W1, W2, mixed sensitivity: W1, W2, W3
+                      (matrices or tables A, B, C, D)
     [specifications]  max_norm; the fields of `Requirements`; umin, umax, overload; antiwindup = true for the
-                      conditioned controller of a loop-shaping design; dt of a continuous design
+                      conditioned controller of a loop-shaping design; dt at which a continuous design is to run
 
 A matrix is a list of rows, {diag = [...]}, or a number, which stands for that multiple of the identity. The file is
 checked as a whole: all mistakes are told at once, each with its path.
@@ -30,11 +32,12 @@ from synth.generalized import GeneralizedPlant
 from synth.hinfinity import METHODS, hinfsyn
 from synth.loopshaping import METHODS as SHAPING_METHODS
 from synth.loopshaping import four_block, ncfsyn
+from synth.mixedsensitivity import augw, mixsyn
 from synth.modelfiles import NINE, Model, read
 from synth.statespace import StateSpace, c2d
 from synth.tables import Table
 
-PROBLEMS = ("tracking", "generalized", "loopshaping")
+PROBLEMS = ("tracking", "generalized", "loopshaping", "mixedsensitivity")
 TRACKING = {"Wproc": "u", "Wdist": "y", "Werr": "y", "Wact": "u", "Wr": "y"}  # weight -> signals of the plant
 
 
@@ -43,15 +46,15 @@ class Study:
     """A checked study file."""
 
     problem: str  # one of `PROBLEMS`
-    plant: GeneralizedPlant | StateSpace  # what is designed for; the plain plant for loop shaping, with its sign
-    options: dict[str, Any]  # of `hinfsyn` or `ncfsyn`
+    plant: GeneralizedPlant | StateSpace  # what is designed for; the plain plant (with the sign of loop shaping)
+    options: dict[str, Any]  # of `hinfsyn`, `ncfsyn` or `mixsyn`
     requirements: Requirements = field(default_factory=Requirements)
     gate: dict[str, Any] = field(default_factory=dict)  # of `accept`
     max_norm: float | None = None
 
     def design(self) -> Design:
-        """Design and verify; raises what `hinfsyn` or `ncfsyn` do."""
-        synthesis = ncfsyn if self.problem == "loopshaping" else hinfsyn
+        """Design and verify; raises what `hinfsyn`, `ncfsyn` or `mixsyn` do."""
+        synthesis = {"loopshaping": ncfsyn, "mixedsensitivity": mixsyn}.get(self.problem, hinfsyn)
         return synthesis(self.plant, **self.options)
 
     def accept(self, design: Design) -> Acceptance | None:
@@ -59,7 +62,7 @@ class Study:
         if design.plant.dt == 0 and "dt" not in self.gate:
             return None
         limited = "umin" in self.gate or "umax" in self.gate
-        plant = four_block(self.plant) if isinstance(self.plant, StateSpace) and limited else None
+        plant = four_block(self.plant) if self.problem == "loopshaping" and limited else None
         gate = dict(self.gate)
         if gate.pop("antiwindup", False):
             gate["antiwindup"] = AntiWindup.of(design, gate.get("umin", -np.inf), gate.get("umax", np.inf)).L
@@ -107,7 +110,10 @@ def _study(root: Table, folder: Path) -> Study | None:
     negative = problem == "loopshaping" and synthesis.text("feedback", ("negative", "positive")) == "negative"
     target = _weighed(problem, plant, about, weights, options, negative)
     m = None if plant is None else plant.sizes[2] if isinstance(plant, GeneralizedPlant) else plant.nu
-    requirements, gate, max_norm = _specifications(root.table("specifications"), m)
+    asked = root.table("specifications")
+    requirements, gate, max_norm = _specifications(asked, m)
+    if plant is not None and plant.dt == 0 and "dt" not in gate and (gate or requirements != Requirements()):
+        asked.wrong("dt", "missing; the gate measures a sampled controller: at which period, in s, is it to run?")
     if problem is not None:  # else it is not known which keys belong there
         synthesis.close()
         weights.close()
@@ -208,13 +214,15 @@ def _options(table: Table, problem: str | None) -> dict[str, Any]:
     found = {"method": table.text("method", methods), "gamma": table.number("gamma", above=0)}
     if problem == "loopshaping":
         found["gamma_factor"] = table.number("gamma_factor", above=1)
+    if problem == "mixedsensitivity":
+        found["shift"] = table.number("shift", least=0)
     return {key: value for key, value in found.items() if value is not None}
 
 
 def _weighed(
     problem: str | None, plant: Any, about: dict[str, Any], weights: Table, options: dict[str, Any], negative: bool
 ) -> GeneralizedPlant | StateSpace | None:
-    """The plant that is designed for; weights of loop shaping go into the options."""
+    """The plant that is designed for; weights of loop shaping and of mixed sensitivity go into the options."""
     if problem is None:
         return None
     if plant is not None and isinstance(plant, GeneralizedPlant) != (problem == "generalized"):
@@ -229,6 +237,18 @@ def _weighed(
             if weights.has(key):
                 options[key] = _shaping_weight(weights, key, size, plant)
         return plant if plant is None or not negative else StateSpace(plant.A, plant.B, -plant.C, -plant.D, plant.dt)
+    if problem == "mixedsensitivity":
+        sizes = {"W1": q, "W2": m, "W3": q}
+        chosen = {key: _shaping_weight(weights, key, size, plant) for key, size in sizes.items() if weights.has(key)}
+        options |= chosen
+        if plant is None or any(W is None for W in chosen.values()):
+            return None
+        try:
+            augw(plant, **chosen)
+        except ModelError as error:
+            weights.problems.append(f"weights: {error}")
+            return None
+        return plant
     size = {"u": m, "y": q}
     found = {key: weights.matrix(key, (size[signals], size[signals])) for key, signals in TRACKING.items()}
     if plant is None or any(W is None for W in found.values()):

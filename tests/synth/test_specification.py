@@ -64,6 +64,47 @@ def test_loop_shaping_study(tmp_path):
     assert any("ncf margin" in text for text in missed)
 
 
+MIXED = """
+[plant]  # 200 / ((10 s + 1) (0.05 s + 1)^2)
+dt = 0
+A = [[-0.1, 20, 0], [0, -20, 20], [0, 0, -20]]
+B = [[0], [0], [20]]
+C = [[1, 0, 0]]
+D = 0
+[synthesis]
+problem = "mixedsensitivity"
+shift = 0
+[weights]
+W1 = { A = [[-0.001]], B = [[1]], C = [[9.999333333333333]], D = [[0.6666666666666666]] }
+W2 = 1
+"""
+
+
+def test_mixed_sensitivity_of_the_textbook(tmp_path):
+    """Skogestad and Postlethwaite (2005), example 2.17, first design: gamma 1.37."""
+    study = study_of(MIXED, tmp_path)
+    design = study.design()
+    assert design.gamma == pytest.approx(1.37, abs=5e-3)
+    assert study.accept(design) is None
+    assert study.missed(design, None) == []
+    held = study_of(MIXED + "[specifications]\nphase_margin_deg = 30\ndt = 0.001\n", tmp_path)
+    accepted = held.accept(design)
+    assert accepted is not None
+    assert accepted.passed
+
+
+def test_a_continuous_design_with_margins_needs_a_period(tmp_path):
+    (problem,) = problems_of(MIXED + "[specifications]\nphase_margin_deg = 30\n", tmp_path)
+    assert problem.startswith("specifications.dt: missing; the gate measures a sampled controller")
+
+
+def test_weights_of_mixed_sensitivity_are_checked(tmp_path):
+    (problem,) = problems_of(MIXED.split("W1 =")[0], tmp_path)
+    assert problem == "weights: W1, W2 and W3 are all None; pass at least one weight, or z would be empty"
+    (problem,) = problems_of(MIXED.replace("[[-0.001]]", "[[0.001]]"), tmp_path)
+    assert problem.startswith("weights: W1 has a pole at 0.001, which is not stable")
+
+
 def test_generalised_plant_from_a_file_beside_the_study(tmp_path):
     plant = cubesat_pecorilla2024()
     save_system(tmp_path / "plant.json", plant)
