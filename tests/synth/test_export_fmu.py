@@ -3,6 +3,7 @@
 import io
 import shutil
 import subprocess
+import tempfile
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -228,7 +229,7 @@ def test_sources_are_complete_clean_and_licensed(design, tmp_path, version):
     assert design.plant.system.digest() in description
     assert repr(design.verified_norm) in description
     assert "BSD" in (tmp_path / "unit" / "documentation" / "licenses" / "fmi-headers.txt").read_text()
-    for private in (str(tmp_path), str(Path.home()), "/tmp"):
+    for private in (str(tmp_path), str(Path.home()), tempfile.gettempdir()):
         assert private.encode() not in everything
 
 
