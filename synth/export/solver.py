@@ -6,7 +6,7 @@ The program is the canonical one of `synth.export.qp`, so the JSON file beside t
 the controller remembers from sample to sample (forecast, past commands, momentum) is a few lines on the caller's side,
 see `Mpc.step`. CVXPYgen is optional and only generates; the licences of what it writes are beside the code. QOCOGEN
 is an interior-point method: on the CubeSat's program about ten iterations, within 1e-5 of the limits of the command
-that DAQP finds; OSQP, which CVXPYgen offers too, needs tolerances of 1e-11 and thousands of iterations for that.
+that DAQP finds; OSQP, which CVXPYgen offers too, needs tolerances of 1e-11 for that.
 
 References: Schaller et al. (2022), IEEE Control Systems Letters 6, 2653; Chari and Acikmese (2025), QOCO: A
 Quadratic Objective Conic Optimizer with Custom Solver Generation, arXiv 2503.12658.
@@ -29,7 +29,7 @@ from synth.export.files import check_name, write_all
 from synth.export.qp import FREE, document, jsonable
 from synth.predictive import Mpc
 
-TOLERANCE = 1e-8  # absolute and relative, of QOCO; ten times smaller ones end in numerical errors
+TOLERANCE = 1e-8  # absolute and relative, of QOCO; with ten times smaller ones it fails on some states
 SCALE = 1e4  # of the objective, whose curvature is small against the tolerance where commands hardly matter
 SOLVED = 1  # QOCO's status
 KEPT = ("src/cpg_[sw]*.c", "include/*.h", "solver_code/*.[ch]")  # of the generated folder c
