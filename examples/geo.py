@@ -329,8 +329,13 @@ def requirements(found: Study) -> list[Requirement]:
         if flight := flights.get(design.FUEL):
             lower = found.bounds[name].lower
             margins += [
-                Requirement(f"position from 100 minutes on{world}", 100 * flight.farthest(SETTLE), 100 * BOX, "cm"),
-                Requirement(f"delta-v over its bound{world}", flight.delta_v() / lower, 1.1, ""),
+                Requirement(
+                    f"{design.FUEL}: position from 100 minutes on{world}",
+                    100 * flight.farthest(SETTLE),
+                    100 * BOX,
+                    "cm",
+                ),
+                Requirement(f"{design.FUEL}: delta-v over its bound{world}", flight.delta_v() / lower, 1.1, ""),
             ]
     return margins
 
