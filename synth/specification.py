@@ -62,7 +62,7 @@ class Study:
         if design.plant.dt == 0 and "dt" not in self.gate:
             return None
         limited = "umin" in self.gate or "umax" in self.gate
-        plant = four_block(self.plant) if self.problem == "loopshaping" and limited else None
+        plant = four_block(StateSpace.of(self.plant)) if self.problem == "loopshaping" and limited else None
         gate = dict(self.gate)
         if gate.pop("antiwindup", False):
             gate["antiwindup"] = AntiWindup.of(design, gate.get("umin", -np.inf), gate.get("umax", np.inf)).L
