@@ -162,8 +162,7 @@ def accept(
 def _loop(design: Any, plant: Any) -> tuple[GeneralizedPlant, StateSpace, float | None]:
     """The plant, the controller that closes it, and the level it was designed for (on its own plant)."""
     if isinstance(design, Design) and plant is None:
-        K = design.shaping.Ks if design.shaping else design.controller
-        return design.plant, K, max(design.gamma, design.verified_norm)
+        return design.plant, design.closing, max(design.gamma, design.verified_norm)
     if not isinstance(plant, GeneralizedPlant):
         raise ModelError("the controller comes without a plant; pass a GeneralizedPlant (four_block(G) for a plain G)")
     K = design.controller if isinstance(design, Design) else StateSpace.of(design)

@@ -17,17 +17,20 @@ import os
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from synth import balls
 from synth.balls import Coupling, Impulse, LowerWitness, Step, UpperWitness
-from synth.design import Design, write_atomically
 from synth.errors import ModelError, VerificationError
+from synth.files import write_atomically
 from synth.generalized import GeneralizedPlant
 from synth.statespace import StateSpace
 from synth.witnesses import find_lower, find_upper
+
+if TYPE_CHECKING:
+    from synth.design import Design
 
 FORMAT = "convex-synth certificate"
 FORMAT_VERSION = 1
@@ -195,7 +198,7 @@ def certify(design: Design, *, lower: float | None = None, upper: float | None =
     `synth.balls`.
     """
     started = time.perf_counter()
-    P, K = design.plant, design.shaping.Ks if design.shaping else design.controller
+    P, K = design.plant, design.closing
     levels = [upper] if upper is not None else [design.verified_norm * (1 + m) for m in MARGINS]
     above = next(((g, found) for g in levels if (found := find_upper(P, K, g, bits))), None)
     if above is None:

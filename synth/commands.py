@@ -25,7 +25,6 @@ from synth.errors import (
 )
 from synth.generalized import GeneralizedPlant
 from synth.modelfiles import Model, read
-from synth.statespace import StateSpace
 
 DONE, MISSED, BAD_INPUT, NO_CONTROLLER, NUMERICAL = range(5)
 CODES = {
@@ -202,8 +201,7 @@ def plant_of(item: Any, file: str, negative: bool) -> GeneralizedPlant:
         if negative:
             raise ModelError(f"{file}: --negative is about a plain plant; a generalised one says itself what y is")
         return item
-    G = item.system
-    return four_block(StateSpace(G.A, G.B, -G.C, -G.D, G.dt) if negative else G)
+    return four_block(-item.system if negative else item.system)
 
 
 def limits_of(options: argparse.Namespace) -> tuple[Any, Any]:

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from synth.acceptance import inner
-from synth.design import Design, write_atomically
+from synth.design import Design
 from synth.errors import AssumptionError, ModelError, NumericalError
+from synth.files import write_atomically
 from synth.gap import gapmetric
 from synth.loopshaping import ncfmargin
 from synth.norms import balance
@@ -54,7 +55,7 @@ def compare(designs: Mapping[str, Design]) -> dict[str, dict[str, float | None]]
 
 def _parts(design: Design) -> tuple[StateSpace, StateSpace]:
     """The plant from u to y and the controller that closes it, u = K y."""
-    return inner(design.plant), design.shaping.Ks if design.shaping else design.controller
+    return inner(design.plant), design.closing
 
 
 def _figures(design: Design, first: Design) -> dict[str, float | None]:

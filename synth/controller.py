@@ -87,9 +87,7 @@ def state_feedback(K: Any, dt: float) -> LinearController:
     ------
     ModelError : K is no finite matrix or `dt` is no sampling time.
     """
-    D = as_matrix("K", K)
-    m, p = D.shape
-    return LinearController.of(StateSpace(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((m, 0)), D, as_timebase(dt)))
+    return LinearController.of(StateSpace.gain(as_matrix("K", K), as_timebase(dt)))
 
 
 def proportional_derivative(inertia: Any, wn: float, zeta: float, dt: float) -> LinearController:

@@ -6,20 +6,18 @@ exactly); the plant is in the file, so that reading it can close the loop and me
 
 from __future__ import annotations
 
-import datetime
 import html
 import json
 import os
-import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, fields
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from synth.errors import ModelError, VerificationError
+from synth.files import write_atomically
 from synth.generalized import GeneralizedPlant
 from synth.norms import verify
 from synth.statespace import StateSpace, series
@@ -82,6 +80,11 @@ class Design:
     verified_norm: float  # H-infinity norm of the closed loop, measured by two independent methods
     info: Info
     shaping: Shaping | None = None  # of a loop-shaping design, whose Ks (not `controller`) closes `plant`
+
+    @property
+    def closing(self) -> StateSpace:
+        """The controller that closes `plant`, u = K y: `controller`, or Ks of a loop-shaping design."""
+        return self.shaping.Ks if self.shaping else self.controller
 
     @property
     def K(self) -> control.StateSpace:
@@ -148,7 +151,7 @@ class Design:
         """
         path = Path(path)
         if path.suffix == ".json":
-            return write_atomically(path, json.dumps(to_dict(self), indent=1, allow_nan=False).encode())
+            return write_atomically(path, json_bytes(self))
         if path.suffix == ".mat":
             from synth.export.matlab import mat_bytes
 
@@ -197,6 +200,11 @@ def to_dict(design: Design) -> dict[str, Any]:
     return data
 
 
+def json_bytes(design: Design) -> bytes:
+    """The content of the .json file."""
+    return json.dumps(to_dict(design), indent=1, allow_nan=False).encode()
+
+
 def _system_to_dict(G: StateSpace) -> dict[str, Any]:
     return {name: getattr(G, name).tolist() for name in "ABCD"}
 
@@ -229,7 +237,7 @@ def from_dict(data: Any) -> Design:
         raise ModelError("controller is not the W1 Ks W2 of the shaping in the file: one of them was changed")
     closed_loop = plant.close(shaping.Ks if shaping else controller)
     measured = verify(closed_loop)
-    if abs(measured.norm - norm) > REMEASURE * norm:
+    if not abs(measured.norm - norm) <= REMEASURE * norm:  # nan is no norm either
         raise VerificationError(f"the file claims a norm of {norm:.9g}, measured is {measured.norm:.9g}")
     return Design(plant, controller, closed_loop, gamma, norm, info, shaping)
 
@@ -241,23 +249,3 @@ def _equal(G: StateSpace, H: StateSpace) -> bool:
         return M.shape == N.shape and bool(np.linalg.norm(M - N) <= ROUNDING * np.linalg.norm(N))
 
     return all(close(getattr(G, name), getattr(H, name)) for name in "ABCD")
-
-
-def write_atomically(path: Path, content: bytes) -> Path:
-    """Write beside the target and rename, so that a reader never sees half a file."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
-    return path
-
-
-def provenance(*packages: str) -> tuple[dict[str, str], str]:
-    """Versions of the packages that took part, and the date (ISO 8601, UTC)."""
-    versions = {name: metadata.version(name) for name in ("convex-synth", "numpy", "scipy", *packages)}
-    return versions, datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")

@@ -20,8 +20,9 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from synth.design import Design, Info, provenance
+from synth.design import Design, Info
 from synth.errors import InfeasibleError, ModelError, NumericalError, SynthError
+from synth.files import provenance
 from synth.generalized import GeneralizedPlant
 from synth.norms import Verification, verify
 from synth.precondition import check_assumptions, precondition

@@ -26,9 +26,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from synth.coprime import Solutions, balanced, closed_loop_moduli, discretised, solutions
-from synth.design import Design, Info, Shaping, provenance
+from synth.design import Design, Info, Shaping
 from synth.doubling import FINAL_RESIDUAL
 from synth.errors import InfeasibleError, ModelError, NumericalError, VerificationError
+from synth.files import provenance
 from synth.generalized import GeneralizedPlant
 from synth.norms import balance, is_stable, verify
 from synth.precondition import check_assumptions
@@ -163,7 +164,7 @@ def ncfmargin(P: Any, K: Any, sign: int = -1) -> float:
     P, K = StateSpace.of(P), StateSpace.of(K)
     if sign not in (-1, 1):
         raise ModelError(f"sign is {sign!r}; pass -1 (negative feedback) or 1 (positive feedback)")
-    loop = four_block(P).close(StateSpace(K.A, K.B, sign * K.C, sign * K.D, K.dt))
+    loop = four_block(P).close(K if sign == 1 else -K)
     return 1 / verify(loop).norm if is_stable(loop) else 0.0
 
 
@@ -184,8 +185,7 @@ def _weight(name: str, W: Any, dt: float) -> StateSpace:
     """A system, or a matrix as a static one."""
     if not isinstance(W, int | float | np.ndarray | list):
         return StateSpace.of(W)
-    D = as_matrix(name, W)
-    return StateSpace(np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((D.shape[0], 0)), D, dt)
+    return StateSpace.gain(as_matrix(name, W), dt)
 
 
 def four_block(G: StateSpace) -> GeneralizedPlant:

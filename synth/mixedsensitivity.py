@@ -183,9 +183,9 @@ def check_shift(loop: StateSpace, shift: float) -> None:
 def _weight(name: str, W: Any, size: int, G: StateSpace) -> StateSpace:
     """A weight of `size` signals as a stable system with the timebase of G; without outputs for None."""
     if W is None:
-        return _static(np.zeros((0, size)), G.dt)
+        return StateSpace.gain(np.zeros((0, size)), G.dt)
     if isinstance(W, np.ndarray) or np.isscalar(W):
-        W = _static(as_matrix(name, W), G.dt)
+        W = StateSpace.gain(as_matrix(name, W), G.dt)
     W = StateSpace.of(W)
     try:
         common_timebase(G, W)
@@ -203,9 +203,3 @@ def _weight(name: str, W: Any, size: int, G: StateSpace) -> StateSpace:
             "controller moves its poles: put a slow stable pole in the place of an integrator"
         )
     return W
-
-
-def _static(D: np.ndarray, dt: float) -> StateSpace:
-    """A gain as a system without states."""
-    p, m = D.shape
-    return StateSpace(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((p, 0)), D, dt)

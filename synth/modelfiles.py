@@ -23,8 +23,9 @@ from typing import Any
 import numpy as np
 
 from synth import design as designs
-from synth.design import Design, write_atomically
+from synth.design import Design
 from synth.errors import ModelError
+from synth.files import write_atomically
 from synth.generalized import GeneralizedPlant
 from synth.statespace import StateSpace, as_matrix
 

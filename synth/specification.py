@@ -236,7 +236,7 @@ def _weighed(
         for key, size in (("W1", m), ("W2", q)):
             if weights.has(key):
                 options[key] = _shaping_weight(weights, key, size, plant)
-        return plant if plant is None or not negative else StateSpace(plant.A, plant.B, -plant.C, -plant.D, plant.dt)
+        return -plant if plant is not None and negative else plant
     if problem == "mixedsensitivity":
         sizes = {"W1": q, "W2": m, "W3": q}
         chosen = {key: _shaping_weight(weights, key, size, plant) for key, size in sizes.items() if weights.has(key)}

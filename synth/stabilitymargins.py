@@ -157,7 +157,7 @@ def diskmargin(L: Any, sign: int = -1) -> DiskMargin:
         raise ModelError(f"L is {G.ny} x {G.nu}; a loop has as many outputs as inputs")
     if not _closed_loop_stable(G):
         return DiskMargin(0.0, np.nan)
-    T = feedback(G, _gain(np.eye(G.nu), G.dt))
+    T = feedback(G, StateSpace.gain(np.eye(G.nu), G.dt))
     norm, frequency = hinfnorm(StateSpace(T.A, T.B, -2 * T.C, np.eye(G.nu) - 2 * T.D, T.dt))  # S - T = I - 2 T
     return DiskMargin(2 / norm, frequency)
 
@@ -195,7 +195,7 @@ def one_loop(L: StateSpace, i: int) -> StateSpace:
         return L
     order = [i, *(j for j in range(L.nu) if j != i)]
     ordered = StateSpace(L.A, L.B[:, order], L.C[order], L.D[np.ix_(order, order)], L.dt)
-    return lft(ordered, _gain(-np.eye(L.nu - 1), L.dt), L.nu - 1, L.nu - 1)
+    return lft(ordered, StateSpace.gain(-np.eye(L.nu - 1), L.dt), L.nu - 1, L.nu - 1)
 
 
 def _negative(L: Any, sign: int) -> StateSpace:
@@ -203,16 +203,11 @@ def _negative(L: Any, sign: int) -> StateSpace:
     if sign not in (-1, 1):
         raise ModelError(f"sign is {sign!r}; pass -1 (negative feedback) or 1 (positive feedback)")
     L = StateSpace.of(L)
-    return L if sign == -1 else StateSpace(L.A, L.B, -L.C, -L.D, L.dt)
-
-
-def _gain(D: np.ndarray, dt: float) -> StateSpace:
-    """A gain as a system without states."""
-    return StateSpace(np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((D.shape[0], 0)), D, dt)
+    return L if sign == -1 else -L
 
 
 def _closed_loop_stable(L: StateSpace) -> bool:
-    return is_stable(feedback(L, _gain(np.eye(L.nu), L.dt)))
+    return is_stable(feedback(L, StateSpace.gain(np.eye(L.nu), L.dt)))
 
 
 def _on_circle(L: StateSpace):

@@ -81,6 +81,15 @@ class StateSpace:
             object.__setattr__(self, name, M)
         object.__setattr__(self, "dt", as_timebase(self.dt))
 
+    @classmethod
+    def gain(cls, D: Any, dt: float) -> StateSpace:
+        """The gain y = D u, (p, m), as a system without states."""
+        return cls(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 0)), D, dt)
+
+    def __neg__(self) -> StateSpace:
+        """The system with the signs of its outputs changed."""
+        return StateSpace(self.A, self.B, -self.C, -self.D, self.dt)
+
     @property
     def n(self) -> int:
         """Number of states."""
@@ -176,12 +185,10 @@ def feedback(G: StateSpace, K: StateSpace) -> StateSpace:
     """Negative feedback y = G (u - K y)."""
     dt = common_timebase(G, K)
     m, p = G.nu, G.ny
-    zero = np.zeros
     P = StateSpace(G.A, np.hstack([G.B, G.B]), np.vstack([G.C, G.C]), np.vstack([np.hstack([G.D, G.D])] * 2), dt)
     if (K.nu, K.ny) != (p, m):
         raise ModelError(f"the controller is {K.ny} x {K.nu} where {m} x {p} is needed")
-    negative = StateSpace(K.A, K.B, -K.C if K.n else zero((m, 0)), -K.D, dt)
-    return lft(P, negative, p, m)
+    return lft(P, -K, p, m)
 
 
 def lft(P: StateSpace, K: StateSpace, nmeas: int, ncon: int) -> StateSpace:

@@ -8,7 +8,6 @@ computer; ``fmu2`` and ``fmu3`` are co-simulation units that run that same C.
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 from typing import Any
@@ -73,13 +72,13 @@ def export(
 
 def _documents(design: Any, format: str, name: str) -> dict[str, bytes]:
     """The design, or a controller without a plant, as data."""
-    from synth.design import Design, to_dict
+    from synth.design import Design, json_bytes
     from synth.export import matlab, plain
 
     if not isinstance(design, Design):
         content = plain.json_bytes(design) if format == "json" else plain.mat_bytes(design)
     elif format == "json":
-        content = json.dumps(to_dict(design), indent=1, allow_nan=False).encode()
+        content = json_bytes(design)
     else:
         content = matlab.mat_bytes(design)
     return {f"{name}.{format}": content}

@@ -7,8 +7,8 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from synth.design import write_atomically
 from synth.errors import ExportError
+from synth.files import write_atomically
 
 IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 LONGEST = 48  # with `_self_test` still within the 63 significant characters of C99

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import scipy.io
 
-from synth.design import provenance, write_atomically
 from synth.errors import ModelError
+from synth.files import provenance, write_atomically
 from synth.predictive import Mpc
 
 FREE = 1e20  # a limit beyond this is none
