@@ -35,6 +35,7 @@ RETURNED = 1e-2  # of the linear response's peak
 TIME_CONSTANTS = 20  # of the slowest pole of the linear loop, that a response is given to return
 LONGEST = 20_000  # samples of a simulation
 EXACT = 1.01  # ratio of the norm up to which it is called kept, as in `hinfsyn`
+UNSTABLE = "not simulated: the loop is unstable"
 DIRECT = "not simulated: the plant has a direct term D22, so that measurement and command would wait for each other"
 HELD = "part of the discrete plant as it was modelled: nothing to measure"
 COMMANDED = 1e-12  # a start whose commands stay below this part of the largest demands nothing
@@ -217,12 +218,12 @@ def _single_precision(P, K, level, limit) -> Iterator[Condition]:
         return
     numbers = _measured("float32 numbers", P, rounded.system, level, limit)
     yield numbers
-    if not numbers.stable:
-        yield Condition("float32 arithmetic", False, False, note="not simulated: the loop is unstable")
-        return
     G = inner(P)
     if G.D.any():
         yield Condition("float32 arithmetic", False, note=DIRECT)
+        return
+    if not (numbers.stable and is_stable(P.close(K))):
+        yield Condition("float32 arithmetic", False, False, note=UNSTABLE)
         return
     samples, covered = _horizon(P, K)
     start = _starts(G, K, np.ones(K.ny)).sum(axis=0)
@@ -264,9 +265,9 @@ def simulate(G: StateSpace, controller: SequentialController, start: np.ndarray,
 
 
 def _horizon(P: GeneralizedPlant, K: StateSpace) -> tuple[int, bool]:
-    """Samples to simulate, and whether they cover the time constants that a response is given."""
+    """Samples of a stable loop to simulate, and whether they cover the time constants that a response is given."""
     radius = spectral_radius(P.close(K).A)
-    needed = TIME_CONSTANTS / -np.log(radius) if 0 < radius < 1 else LONGEST if radius >= 1 else 1
+    needed = TIME_CONSTANTS / -np.log(radius) if radius > 0 else 1
     return int(min(max(np.ceil(needed), 50), LONGEST)), needed <= LONGEST
 
 
@@ -305,11 +306,13 @@ def _saturation(P, K, umin, umax, antiwindup, overload) -> Condition:
         raise ModelError(f"umin = {umin}, umax = {umax} limit nothing; pass finite limits, or leave them away")
     if (limited.umin >= 0).any() or (limited.umax <= 0).any():
         raise ModelError(f"umin = {limited.umin.tolist()}, umax = {limited.umax.tolist()}; zero must lie between them")
+    if G.D.any():
+        return Condition(name, False, note=DIRECT)
+    if not is_stable(P.close(K)):
+        return Condition(name, False, False, note=UNSTABLE)
     samples, covered = _horizon(P, K)
     if not covered:
         return Condition(name, False, note="not judged" + _short(samples))
-    if G.D.any():
-        return Condition(name, False, note=DIRECT)
     starts = overload * _starts(G, K, np.minimum(limited.umax, -limited.umin))
     signs = (1,) if np.array_equal(limited.umax, -limited.umin) else (1, -1)  # a loop with like limits is odd
     peaks = np.max([simulate(G, linear, x, samples).peaks() for x in starts], axis=0) if len(starts) else np.zeros(1)

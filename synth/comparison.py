@@ -16,10 +16,10 @@ from synth.files import write_atomically
 from synth.gap import gapmetric
 from synth.loopshaping import ncfmargin
 from synth.norms import balance
+from synth.plots import frequencies, sigma, sigma_plot
 from synth.stabilitymargins import margins
 from synth.statespace import StateSpace, series
 
-POINTS = 400  # frequencies of a plot
 MEASURES: dict[str, tuple[str, str]] = {  # key -> (text, what it is)
     "order": ("controller order", "states of the controller"),
     "dt": ("sampling time, s", "0 for continuous time"),
@@ -61,7 +61,6 @@ def _parts(design: Design) -> tuple[StateSpace, StateSpace]:
 def _figures(design: Design, first: Design) -> dict[str, float | None]:
     (G, K), (G1, K1) = _parts(design), _parts(first)
     kept = margins(G, K, sign=1)
-
     return {
         "order": design.controller.n,
         "dt": design.plant.dt,
@@ -113,14 +112,13 @@ def plot(designs: Mapping[str, Design], path: str | os.PathLike[str]) -> Path:
         loops, controllers = figure.subplots(1, 2)
         for i, (name, design) in enumerate(designs.items()):
             closed, K = design.closed_loop, _parts(design)[1]
-            omega = _grid(closed, K)
+            omega = frequencies(closed, K)
             style: dict[str, Any] = {"color": f"C{i}", "lw": 1.2, "ls": ("-", "--", "-.", ":")[i % 4]}
-            gains = _singular_values(closed, omega)[:, :1] / design.gamma
-            loops.loglog(omega, gains, label=Path(name).stem, **style)
-            controllers.loglog(omega, _singular_values(K, omega), **style)
+            loops.loglog(omega, sigma(closed, omega)[:, 0] / design.gamma, label=Path(name).stem, **style)
+            sigma_plot(K, controllers, omega=omega, **style)
         loops.axhline(1.0, color="0.6", lw=0.8)
-        loops.set(xlabel="rad/s", title="closed loop w to z, largest / gamma")
-        controllers.set(xlabel="rad/s", title="controller, singular values")
+        loops.set(xlabel="frequency, rad/s", title="closed loop w to z, largest / gamma")
+        controllers.set(ylabel="", title="controller, singular values")
         loops.legend(frameon=False)
         for axes in (loops, controllers):
             axes.grid(True, which="major", lw=0.3)
@@ -128,18 +126,3 @@ def plot(designs: Mapping[str, Design], path: str | os.PathLike[str]) -> Path:
         metadata: Any = {"Date": None} if path.suffix == ".svg" else None
         figure.savefig(buffer, format=path.suffix[1:], metadata=metadata, dpi=150)
     return write_atomically(path, buffer.getvalue())
-
-
-def _grid(*systems: StateSpace) -> np.ndarray:
-    """Frequencies in rad/s around the poles of the systems, up to the Nyquist frequency."""
-    dt = systems[0].dt
-    poles = np.concatenate([G.poles() for G in systems])
-    rates = np.abs(np.log(poles[np.abs(poles) > 0]) / dt) if dt else np.abs(poles)
-    rates = rates[rates > 1e-6 * rates.max(initial=1e-300)]
-    low, high = (rates.min(), rates.max()) if rates.size else (1.0, 1.0)
-    return np.geomspace(low / 10, 0.9999 * np.pi / dt if dt else 10 * high, POINTS)
-
-
-def _singular_values(G: StateSpace, omega: np.ndarray) -> np.ndarray:
-    """Singular values (len(omega), any), largest first."""
-    return np.array([np.linalg.svd(G.frequency_response(w), compute_uv=False) for w in omega])

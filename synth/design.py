@@ -231,13 +231,15 @@ def from_dict(data: Any) -> Design:
         gamma, norm, digest = float(data["gamma"]), float(data["verified_norm"]), data["plant_sha256"]
     except (KeyError, TypeError, ValueError) as error:
         raise ModelError(f"the design is incomplete or damaged: {error}") from None
+    if not np.isfinite([gamma, norm]).all():
+        raise ModelError(f"gamma is {gamma}, verified_norm {norm}; a design has finite ones: the file is damaged")
     if plant.system.digest() != digest:
         raise ModelError("plant_sha256 does not belong to the plant in the file: one of them was changed")
     if shaping and not _equal(shaping.controller, controller):
         raise ModelError("controller is not the W1 Ks W2 of the shaping in the file: one of them was changed")
     closed_loop = plant.close(shaping.Ks if shaping else controller)
     measured = verify(closed_loop)
-    if not abs(measured.norm - norm) <= REMEASURE * norm:  # nan is no norm either
+    if abs(measured.norm - norm) > REMEASURE * norm:
         raise VerificationError(f"the file claims a norm of {norm:.9g}, measured is {measured.norm:.9g}")
     return Design(plant, controller, closed_loop, gamma, norm, info, shaping)
 

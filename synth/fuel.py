@@ -22,7 +22,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import scipy.linalg as sla
 
 from synth.errors import ModelError, NumericalError
 from synth.parametriclp import ParametricLp, canonicalise
@@ -195,7 +194,7 @@ class MinimumFuel:
     motion: np.ndarray  # (samples + 1, q) outputs under the impulses
 
 
-def minimum_fuel(G: Any, free: Any, box: Any, *, dt: float, settle: int = 0) -> MinimumFuel:
+def minimum_fuel(G: Any, free: Any, box: Any, *, dt: float, settle: int = 1) -> MinimumFuel:
     """The least integral of |u|_1 with which any control keeps outputs in a box at the samples from `settle` on.
 
     Parameters
@@ -205,11 +204,11 @@ def minimum_fuel(G: Any, free: Any, box: Any, *, dt: float, settle: int = 0) -> 
         `free_motion` gives those of G alone
     box : scalar or (q,) half-widths
     dt : s, between the samples
-    settle : first sample at which the box counts
+    settle : first sample at which the box counts, at least 1
 
     Raises
     ------
-    ModelError : an argument is not valid.
+    ModelError : an argument is not valid; the message names it, its value and the remedy.
     NumericalError : the program was not solved: the task is impossible at any price, or badly scaled.
 
     Notes
@@ -229,22 +228,21 @@ def minimum_fuel(G: Any, free: Any, box: Any, *, dt: float, settle: int = 0) -> 
         raise ModelError(f"settle is {settle}, free ends at sample {K}; the box never counts")
     if not (widths > 0).all():
         raise ModelError(f"box is {widths}; pass positive half-widths")
-    step = sla.expm(G.A * (dt / REFINED))
-    impulse = StateSpace(sla.expm(G.A * dt), sla.expm(G.A * dt) @ G.B, G.C, G.D, dt)
-    moves = response(impulse, K)[(settle - 1) * q :]
+    Phi = c2d(G, dt).A
+    moves = response(StateSpace(Phi, Phi @ G.B, G.C, G.D, dt), K)  # of impulses
     scale = np.tile(widths, K - settle + 1)
     rest = f[settle:].ravel() / scale
     v = cp.Variable(K * m)
-    y = rest + (moves / scale[:, None]) @ v
+    y = rest + (moves[(settle - 1) * q :] / scale[:, None]) @ v
     sides: list[Any] = [y <= 1, -y <= 1]
     problem = cp.Problem(cp.Minimize(cp.norm1(v)), sides)
     problem.solve(solver="HIGHS")
     if problem.status != "optimal" or v.value is None:
         raise NumericalError(f"HiGHS ended with {problem.status!r}", {"highs": problem.status})
     multipliers = sides[0].dual_value - sides[1].dual_value
-    peak = primer_peak(G, (multipliers / scale).reshape(-1, q), step, settle)
+    peak = primer_peak(G, (multipliers / scale).reshape(-1, q), c2d(G, dt / REFINED).A, settle)
     value = float(multipliers @ rest - np.abs(multipliers).sum())
-    motion = f[1:] + (response(impulse, K) @ v.value).reshape(K, q)
+    motion = f[1:] + (moves @ v.value).reshape(K, q)
     return MinimumFuel(
         lower=value / max(peak, 1.0),
         upper=float(np.abs(v.value).sum()),

@@ -230,7 +230,11 @@ def _weighed(
         weights.problems.append(f"plant: the problem {problem!r} needs a plant with {needed}")
         plant = None
     if problem == "generalized":
-        return replace(plant, **{key: value for key, value in about.items() if value}) if plant else None
+        try:
+            return plant and replace(plant, **{key: value for key, value in about.items() if value})
+        except ModelError as error:
+            weights.problems.append(f"plant: {error}")
+            return None
     m, q = (None, None) if plant is None else (plant.nu, plant.ny)
     if problem == "loopshaping":
         for key, size in (("W1", m), ("W2", q)):

@@ -44,7 +44,7 @@ class Margin:
     delay: float  # s
     gain_frequency: float  # rad/s, of the nearer gain margin in decibels; nan when there is none
     phase_frequency: float  # rad/s, of the phase margin; nan when |L| is never one
-    delay_frequency: float  # rad/s
+    delay_frequency: float  # rad/s, of the delay margin; inf where no delay is borne, nan when any is
 
     @property
     def gain_db(self) -> float:
@@ -133,6 +133,8 @@ def margin(L: Any, sign: int = -1) -> Margin:
     crossings = [(angle, np.angle(-_response(H, angle))) for angle in _unit_crossings(H)]
     phase, at_phase = min(((abs(phi), angle) for angle, phi in crossings), default=(np.pi, np.nan))
     lags = [(float(phi % (2 * np.pi)) / to_frequency(angle), angle) for angle, phi in crossings if angle > 0]
+    if not G.discrete and abs(G.D[0, 0]) > 1:  # at ever higher frequencies a delay, however short, turns L to -1
+        lags.append((0.0, np.pi))
     delay, at_delay = min(lags, default=(np.inf, np.nan))
     frequencies = (float(to_frequency(angle)) for angle in (at_gain, at_phase, at_delay))
     return Margin(up, down, float(phase), float(delay), *frequencies)
@@ -215,7 +217,7 @@ def _on_circle(L: StateSpace):
     if L.discrete:
         return balance(L), lambda angle: angle / L.dt
     rate = cayley_rate(L)
-    return balance(cayley(balance(L), rate)), lambda angle: rate * np.tan(angle / 2) if angle < np.pi else np.inf
+    return balance(cayley(balance(L), rate)), lambda angle: np.inf if angle >= np.pi else rate * np.tan(angle / 2)
 
 
 def _response(L: StateSpace, angle: float) -> complex:

@@ -10,7 +10,7 @@ import numpy as np
 
 
 class Table:
-    """One table; `take` functions read a key and note what is wrong with it, `close` notes keys that nobody read."""
+    """One table; its functions read a key and note what is wrong with it, `close` notes keys that nobody read."""
 
     def __init__(self, data: Any, path: str, problems: list[str]):
         self.path, self.problems = path, problems

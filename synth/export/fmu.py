@@ -122,7 +122,8 @@ def _variables2(root: Element, origin: Origin, step: str) -> None:
             variables, "ScalarVariable", name=signal.name, valueReference=str(i), variability="discrete"
         )
         scalar.set("causality", "input" if is_input else "output")
-        scalar.set("initial", "calculated") if not is_input else None
+        if not is_input:
+            scalar.set("initial", "calculated")
         SubElement(
             scalar, "Real", {"unit": signal.unit} if signal.unit else {}, **({"start": "0.0"} if is_input else {})
         )

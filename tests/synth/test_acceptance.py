@@ -151,10 +151,13 @@ def test_loop_shaping_saturates_on_its_plant_with_anti_windup():
 
 def test_an_unstable_loop_is_not_accepted():
     K, P = loop(1.5, 0.1)
-    found = accept(K, P)
+    found = accept(K, P, umin=-1, umax=1)
     assert not found.passed
     assert found.margins is None
     assert not lines(found)["gain margin"].passed
+    for name in ("float32 arithmetic", "saturation"):
+        assert not lines(found)[name].passed
+        assert lines(found)[name].note == "not simulated: the loop is unstable"
 
 
 @pytest.mark.parametrize(

@@ -46,6 +46,8 @@ def test_provenance_is_in_the_file(design, tmp_path):
         (lambda d: d["controller"]["A"][0].pop(), ModelError, "incomplete or damaged"),
         (lambda d: d["controller"]["D"][0].__setitem__(0, -1e3), VerificationError, "unstable"),
         (lambda d: d.update(verified_norm=1e-6), VerificationError, "the file claims a norm"),
+        (lambda d: d.update(verified_norm=float("nan")), ModelError, "verified_norm nan"),
+        (lambda d: d.update(gamma=float("inf")), ModelError, "gamma is inf"),
         (lambda d: d["info"].pop("method"), ModelError, "incomplete or damaged"),
     ],
 )

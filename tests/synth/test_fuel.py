@@ -177,6 +177,8 @@ def test_bad_arguments_are_named():
         minimum_fuel(model, np.zeros((5, 1)), 1.0, dt=1.0, settle=1)
     with pytest.raises(ModelError, match="never counts"):
         minimum_fuel(integrators(), np.zeros((5, 1)), 1.0, dt=1.0, settle=5)
+    with pytest.raises(ModelError, match="dt is 0"):
+        minimum_fuel(integrators(), np.zeros((5, 1)), 1.0, dt=0.0)
 
 
 def test_an_impossible_task_is_an_error():

@@ -141,6 +141,8 @@ def test_generalised_plant_in_matrices(tmp_path):
     design = study.design()
     assert design.gamma == 10
     assert study.accept(design).dt == 0.01
+    twice = text.replace("    A = -1", "    A = [[-1]]").replace('["position"]', '["position", "position"]')
+    assert problems_of(twice, tmp_path)[0].startswith("plant: channel y has names ('position', 'position')")
 
 
 def test_all_mistakes_are_told_at_once(tmp_path):

@@ -160,3 +160,11 @@ def test_refusals():
         margin(LOOPS["sampled"], sign=0)
     with pytest.raises(ModelError, match="needs 2 x 2"):
         margins(two, gain(1.0, 1.0))
+
+
+def test_a_loop_above_one_at_high_frequencies_bears_no_delay():
+    """Every delay turns L = 2 + 1/(s + 1) to the critical side at some high frequency."""
+    found = margin(transfer([2, 3], [1, 1]))
+    assert (found.delay, found.delay_frequency) == (0, np.inf)
+    assert (found.gain_up, found.gain_down, found.phase) == (np.inf, 0, np.pi)
+    assert np.isnan([found.gain_frequency, found.phase_frequency]).all()
