@@ -24,7 +24,7 @@ from jax.typing import ArrayLike
 from plants import attitude, blocks
 from plants.actuators import ReactionWheels
 from plants.campaign import draw
-from plants.checks import real
+from plants.checks import positive, real
 from plants.environment import FreeSpace, OrbitEnv
 from plants.errors import ScenarioError
 from plants.indices import settling_time
@@ -187,8 +187,7 @@ def manoeuvre(
     ScenarioError
         Unusable numbers; the message names them.
     """
-    if not real("period", period) > 0:
-        raise ScenarioError(f"period = {period} s: give a positive number")
+    positive("period", period)
     periods = round(duration / period)
     if periods < 1 or not np.isclose(periods * period, duration, rtol=1e-9, atol=0):
         raise ScenarioError(f"duration = {duration} s: give a whole number of periods of {period} s, at least one")

@@ -53,3 +53,11 @@ def real(
     if low is not None and (array < low).any():
         raise ScenarioError(f"{name} must be at least {low:g}, got {array.tolist()}")
     return array
+
+
+def positive(name: str, value: Any, shape: tuple[int | None, ...] = (), *, infinite: bool = False) -> Any:
+    """As `real`, with every entry above zero; ScenarioError otherwise."""
+    array = real(name, value, shape, infinite=infinite)
+    if not isinstance(array, Tracer) and not (array > 0).all():
+        raise ScenarioError(f"{name} must be positive, got {array.tolist()}")
+    return array

@@ -25,7 +25,7 @@ from jax.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from plants import attitude, blocks, orbit
-from plants.checks import Numbers, real
+from plants.checks import Numbers, positive, real
 from plants.errors import ScenarioError
 from plants.orbit import EARTH_RADIUS, Orbit
 
@@ -100,8 +100,7 @@ class Environment:
             NaN, negative or zero duration or step, an epoch before 1972 or after 2029, an orbit inside the Earth.
         """
         for name, value in (("duration", duration), ("step", step)):
-            if not real(name, value) > 0:
-                raise ScenarioError(f"{name} must be positive, got {value} s")
+            positive(name, value)
         intervals = max(int(np.ceil(duration / step)) + 1, 4)  # one more than needed: t = duration falls inside
         times = step * np.arange(intervals + 1)
         r, v = orbit.propagate(start, times)

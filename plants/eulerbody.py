@@ -21,7 +21,7 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from plants import attitude, blocks
-from plants.checks import Numbers, real
+from plants.checks import Numbers, positive, real
 from plants.errors import ScenarioError, SingularityError
 
 MARGIN = np.radians(0.5)  # rad of pitch before +-90 deg, where E has grown to 115
@@ -59,11 +59,9 @@ class EulerBody:
         ScenarioError
             Wrong shapes, NaN, an inertia that is not symmetric positive definite, a wheel without inertia.
         """
-        I, Js = real("inertia", inertia, (3, 3)), real("wheel_inertia", wheel_inertia, (3,))
+        I, Js = real("inertia", inertia, (3, 3)), positive("wheel_inertia", wheel_inertia, (3,))
         if not np.allclose(I, I.T, rtol=0, atol=1e-12 * np.abs(I).max()) or np.linalg.eigvalsh(I)[0] <= 0:
             raise ScenarioError(f"inertia must be symmetric positive definite, got {I.tolist()} kg m^2")
-        if (Js <= 0).any():
-            raise ScenarioError(f"wheel_inertia must be positive, got {Js.tolist()} kg m^2")
         return cls(inertia=I, inverse=np.linalg.inv(I), wheel_inertia=Js)
 
     def derivative(self, x: EulerState, u: ArrayLike, env: TorqueEnv) -> EulerState:

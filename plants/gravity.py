@@ -8,6 +8,7 @@ longitude of choice. References: Montenbruck and Gill (2000), Satellite Orbits, 
 from dataclasses import dataclass
 from functools import partial
 
+import erfa
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,14 +17,14 @@ from jax.typing import ArrayLike
 
 from plants import blocks
 from plants.attitude import cross, dot
-from plants.checks import Numbers, real
+from plants.checks import Numbers, positive
 from plants.disturbances import SOLAR_PRESSURE
 from plants.environment import visible_fraction
 from plants.orbit import EARTH_RADIUS, MU
 
 MU_MOON = 4.902800e12  # () m^3/s^2  IERS Conventions (2010), table 1.1: the Earth's times 0.0123000371
 MU_SUN = 1.32712442099e20  # () m^3/s^2  IERS Conventions (2010), table 1.1
-AU = 149597870700.0  # () m
+AU = erfa.DAU  # () m
 
 ORDERS = np.array([0, 1, 2, 0, 1, 2, 3])  # of the terms (2,0) (2,1) (2,2) (3,0) (3,1) (3,2) (3,3)
 DEGREES = np.array([2, 2, 2, 3, 3, 3, 3])
@@ -135,7 +136,7 @@ def station_radius(rate: float, harmonics: Harmonics) -> float:
     ScenarioError
         A rate that is not positive and finite.
     """
-    real("rate", rate, low=np.finfo(float).tiny)
+    positive("rate", rate)
     oblate = -1.5 * float(harmonics.cosine[0]) * EARTH_RADIUS**2
     r = (MU / rate**2) ** (1 / 3)
     for _ in range(5):

@@ -24,9 +24,8 @@ from scipy.interpolate import CubicSpline
 
 from plants import blocks, gravity
 from plants.attitude import cross
-from plants.checks import Numbers, real
+from plants.checks import Numbers, positive, real
 from plants.environment import julian, sun_position
-from plants.errors import ScenarioError
 from plants.gravity import Harmonics
 
 EARTH_RATE = 2 * np.pi * 1.00273781191135448 / 86400  # () rad/s  of the Earth rotation angle, IERS (2010), eq. 5.15
@@ -72,8 +71,7 @@ class Sky:
             NaN, a duration that is not positive, an epoch before 1972 or after 2029.
         """
         real("longitude", longitude)
-        if not real("duration", duration) > 0:
-            raise ScenarioError(f"duration must be positive, got {duration} s")
+        positive("duration", duration)
         times = STEP * np.arange(max(int(np.ceil(duration / STEP)) + 2, 5))
         utc1, utc2, tt1, tt2 = julian(epoch, times)
         axes = erfa.c2i06a(tt1, tt2)  # (n, 3, 3) GCRS to CIRS

@@ -13,7 +13,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from plants import blocks
-from plants.checks import Numbers, real
+from plants.checks import Numbers, positive
 from plants.errors import ScenarioError
 
 
@@ -33,7 +33,7 @@ class Thrusters:
         ScenarioError
             NaN, a mass or force that is not positive.
         """
-        return cls(limit=_positive("force", force, infinite=True) / _positive("mass", mass))
+        return cls(limit=positive("force", force, infinite=True) / positive("mass", mass))
 
     def init(self) -> tuple[()]:
         """No state."""
@@ -76,12 +76,12 @@ class PulsedThrusters:
         ScenarioError
             NaN, a number that is not positive, a period that is not a whole number of pulses.
         """
-        push = _positive("force", force) / _positive("mass", mass)
-        pulses = float(_positive("period", period) / _positive("shortest", shortest))
+        push = positive("force", force) / positive("mass", mass)
+        pulses = float(positive("period", period) / positive("shortest", shortest))
         most = np.round(pulses)
         if abs(pulses - most) > 1e-9 * pulses or most < 1:
             raise ScenarioError(f"period = {period} s must be a whole number of shortest pulses of {shortest} s")
-        return cls(limit=push, bit=push / most, most=real("most", most))
+        return cls(limit=push, bit=push / most, most=most)
 
     def init(self) -> Array:
         """What is owed, (3,) m/s^2 over a sample: nothing yet."""
@@ -93,10 +93,3 @@ class PulsedThrusters:
         asked = jnp.clip(jnp.asarray(command), -self.limit, self.limit) + s
         fired = jnp.asarray(self.bit) * jnp.clip(jnp.round(asked / self.bit), -self.most, self.most)
         return asked - fired, fired
-
-
-def _positive(name: str, value: float, *, infinite: bool = False) -> Numbers:
-    """The value, or ScenarioError."""
-    if not real(name, value, infinite=infinite) > 0:
-        raise ScenarioError(f"{name} must be positive, got {value}")
-    return real(name, value, infinite=infinite)

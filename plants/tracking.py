@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike as Numbers
 from scipy.linalg import expm
 
 from plants import blocks
-from plants.checks import real
+from plants.checks import positive, real
 from plants.errors import ScenarioError
 from plants.navigation import scalar_updates
 from plants.relative import EARTH_RATE, Sky, SkyEnv, Station, StationState
@@ -99,7 +99,7 @@ class Tracking:
             NaN, a wrong shape, a deviation that is not positive.
         """
         rows = len(SHOWS) if np.shape(noise) == (len(SHOWS),) else len(SHOWS) - 1
-        deviations = real("noise", noise, (rows,), low=np.finfo(float).tiny)
+        deviations = positive("noise", noise, (rows,))
         return cls(radius=real("radius", radius, low=1.0), noise=deviations)
 
     @property
@@ -243,8 +243,7 @@ def station_ekf(
         message names it.
     """
     first = real("guess", guess, (6,))
-    if not real("h", h) > 0:
-        raise ScenarioError(f"h must be positive, got {h} s")
+    positive("h", h)
     seen = observability(model, sensors, above, first, h=h, samples=max(round(86400 / h), 2))
     if seen.hidden():
         raise ScenarioError(

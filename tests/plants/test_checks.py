@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from plants.checks import real
+from plants.checks import positive, real
 from plants.errors import ScenarioError
 
 
@@ -45,3 +45,15 @@ def test_tracers_pass_if_they_are_of_the_right_shape_and_precision():
 def test_the_rest_is_refused_by_name(value, options, message):
     with pytest.raises(ScenarioError, match=message):
         real("gain", value, **options)
+
+
+def test_positive_numbers():
+    assert positive("mass", 2) == 2
+    assert positive("limit", np.inf, infinite=True) == np.inf
+    for value in (0.0, -1.0):
+        with pytest.raises(ScenarioError, match=f"mass must be positive, got {value}"):
+            positive("mass", value)
+    with pytest.raises(ScenarioError, match=r"noise must be positive, got \[1.0, 0.0\]"):
+        positive("noise", [1.0, 0.0], (2,))
+    with pytest.raises(ScenarioError, match="mass must be finite"):
+        positive("mass", np.nan)
