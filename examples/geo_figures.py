@@ -11,7 +11,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from plants import figures
-from plants.report import STYLE, Section
+from plants.geo import DAY
+from plants.report import BOUND, STYLE, Section
 from plants.study import drawings
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
 AXES = ("x", "y", "z")  # radial, along the track, normal to the plane
 FLOOR = 1e-4  # m, below which a logarithm shows nothing
-MINUTE = 60.0  # s
 SHOWN = (design.THESIS_LQR, design.MIXED, design.LQR, design.FUEL)
 
 
@@ -28,7 +28,7 @@ def distance(flights: Mapping[str, Flight], box: float, settle: float) -> Figure
     series = {name: (flight.time, np.maximum(np.abs(flight.position), FLOOR)) for name, flight in flights.items()}
     fig = figures.histories(series, [f"|{axis}|, m" for axis in AXES], until=3 * settle, scale="log")
     for ax in fig.axes:
-        ax.plot([settle, 3 * settle], [box, box], color="#c0322b", ls="--", lw=0.9)
+        ax.plot([settle, 3 * settle], [box, box], color=BOUND, ls="--", lw=0.9)
     return fig
 
 
@@ -41,7 +41,7 @@ def forces(flights: Mapping[str, Flight], until: float) -> Figure:
             shown = flight.time <= until
             axes[0, j].set_title(name, fontsize="small")
             for i, label in enumerate(AXES):
-                axes[i, j].step(flight.time[shown] / MINUTE, flight.force[shown, i], where="post", lw=0.8)
+                axes[i, j].step(flight.time[shown] / design.MINUTE, flight.force[shown, i], where="post", lw=0.8)
                 axes[i, j].set_ylabel(f"F{label}, N")
             axes[-1, j].set_xlabel("time, min")
         return fig
@@ -54,13 +54,13 @@ def far(flights: Mapping[str, Flight]) -> Figure:
 
 
 def keeping(flights: Mapping[float, Flight], boxes: Sequence[float]) -> Figure:
-    """Two weeks in boxes: position over the half-width of the box, and fuel."""
+    """Days in boxes: position over the half-width of the box, and fuel."""
     with mpl.rc_context(STYLE):
         fig = Figure(figsize=(8.0, 6.0), layout="constrained")
         rows: Any = fig.subplots(4, 1, sharex=True)
         for box in boxes:
             flight = flights[box]
-            days = flight.time / 86400
+            days = flight.time / DAY
             for i, label in enumerate(AXES):
                 rows[i].plot(days, flight.position[:, i] / box, lw=0.8, label=f"+-{box:g} m", rasterized=True)
                 rows[i].set_ylabel(f"{label} / box")
@@ -93,4 +93,4 @@ def sections(found: Study) -> list[Section]:
                 "solar pressure. Position in half-widths of the box; delta-v of all axes.",
             )
         )
-    return [drawings("Figures", drawn)] if drawn else []  # fmt: skip
+    return [drawings("Figures", drawn)] if drawn else []

@@ -71,7 +71,7 @@ class AntiWindup:
         K = design.controller
         if not K.discrete:
             raise ModelError("the design is continuous; a sampled loop steps discrete ones: design on c2d(G, dt)")
-        low, high = (_limits(name, value, K.ny) for name, value in (("umin", umin), ("umax", umax)))
+        low, high = (as_limits(name, value, K.ny) for name, value in (("umin", umin), ("umax", umax)))
         if not (low < high).all():
             raise ModelError(f"umin = {low.tolist()} is not below umax = {high.tolist()}; leave room between them")
         W1, D1 = parts.W1, parts.W1.D
@@ -82,9 +82,12 @@ class AntiWindup:
         return cls(K.A, K.B, K.C, K.D, np.linalg.solve(D1.T, L.T).T, low, high, K.dt)
 
 
-def _limits(name: str, value: Any, m: int) -> np.ndarray:
-    """Limits as an array (m,); infinite ones pass."""
-    limits = np.asarray(value, dtype=float)
+def as_limits(name: str, value: Any, m: int) -> np.ndarray:
+    """Limits of m commands, (m,), a number standing for all, or a ModelError that names them; infinite ones pass."""
+    try:
+        limits = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ModelError(f"{name} is {value!r}; pass a number or {m} of them") from None
     if np.isnan(limits).any() or limits.shape not in ((), (m,)):
         raise ModelError(f"{name} is {value}; pass a number or {m} of them")
     return np.broadcast_to(limits, (m,)).copy()

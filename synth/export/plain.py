@@ -15,8 +15,7 @@ import scipy.io
 from synth.antiwindup import AntiWindup
 from synth.export.origin import origin_of
 from synth.export.reference import controller_of
-
-FORMAT = "convex-synth controller"
+from synth.modelfiles import CONTROLLER, FORMAT_VERSION
 
 
 def json_bytes(source: Any) -> bytes:
@@ -34,7 +33,8 @@ def mat_bytes(source: Any) -> bytes:
 def _document(source: Any) -> dict[str, Any]:
     """Arrays, numbers and texts."""
     K = controller_of(source)
-    data = {"format": FORMAT, "format_version": 1.0, "A": K.A, "B": K.B, "C": K.C, "D": K.D, "dt": K.dt}
+    data: dict[str, Any] = {"format": CONTROLLER, "format_version": float(FORMAT_VERSION)}
+    data |= {"A": K.A, "B": K.B, "C": K.C, "D": K.D, "dt": K.dt}
     if isinstance(source, AntiWindup):
         data |= {"L": source.L, "umin": source.umin, "umax": source.umax}
     return data | {key.replace(" ", "_"): fact for key, fact in origin_of(source).facts.items()}

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from synth.antiwindup import AntiWindup
+from synth.antiwindup import AntiWindup, as_limits
 from synth.controller import LinearController
 from synth.design import Design
 from synth.errors import ExportError, ModelError
@@ -129,8 +129,8 @@ class SequentialController:
             )
         if antiwindup is not None and umin is None and umax is None:
             raise ModelError("antiwindup is given without limits; pass umin and umax, or leave it away")
-        low = _limits("umin", -np.inf if umin is None else umin, K.ny)
-        high = _limits("umax", np.inf if umax is None else umax, K.ny)
+        low = as_limits("umin", -np.inf if umin is None else umin, K.ny)
+        high = as_limits("umax", np.inf if umax is None else umax, K.ny)
         L = np.zeros((K.n, K.ny))
         if antiwindup is not None and K.n:
             L = as_matrix("antiwindup", antiwindup, (K.n, K.ny))
@@ -159,17 +159,6 @@ def _sum(rows: int, *terms: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
         for column, value in zip(M.T, x, strict=True):
             total = total + column * value
     return total
-
-
-def _limits(name: str, value: Any, m: int) -> np.ndarray:
-    """Limits as an array (m,); infinite ones pass."""
-    try:
-        limits = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise ModelError(f"{name} is {value!r}; pass a number or {m} of them") from None
-    if np.isnan(limits).any() or limits.shape not in ((), (m,)):
-        raise ModelError(f"{name} is {value}; pass a number or {m} of them")
-    return np.broadcast_to(limits, (m,)).copy()
 
 
 def _round(name: str, M: np.ndarray, dtype: str) -> np.ndarray:
