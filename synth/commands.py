@@ -114,7 +114,9 @@ def facts(item: Design | GeneralizedPlant | Model) -> dict[str, Any]:
     """What is to be said about a file."""
     if isinstance(item, Model):
         G = item.system
-        signals = {key: labels(getattr(item, key), item.units) for key in ("u", "y")}
+        signals: dict[str, Any] = {key: labels(getattr(item, key), item.units) for key in ("u", "y")}
+        if item.limited:
+            signals |= {"umin": item.limited.umin.tolist(), "umax": item.limited.umax.tolist()}
         return {"kind": "system", "order": G.n, **timebase(G.dt), **signals, "sha256": G.digest()}
     if isinstance(item, GeneralizedPlant):
         signals = {key: labels(getattr(item, key), item.units) for key in "wuzy"}
@@ -175,10 +177,9 @@ def verify(options: argparse.Namespace) -> int:
         if isinstance(item, Model) and plant is None:
             raise ModelError(f"{file}: the controller comes without a plant; pass --plant")
         controller = item.system if isinstance(item, Model) else item
-        umin, umax = limits_of(options)
         try:
             found[file] = accept(
-                controller, plant, dt=options.dt, umin=umin, umax=umax, antiwindup=gain_of(item, options),
+                controller, plant, dt=options.dt, **saturation_of(item, options),
                 overload=options.overload, requirements=required,
             )  # fmt: skip
         except SynthError as error:
@@ -209,6 +210,17 @@ def limits_of(options: argparse.Namespace) -> tuple[Any, Any]:
     given = (options.umin, options.umax)
     umin, umax = (value[0] if value is not None and len(value) == 1 else value for value in given)
     return umin, umax
+
+
+def saturation_of(item: Any, options: argparse.Namespace) -> dict[str, Any]:
+    """Limits and anti-windup gain: those that a controller's file holds, else those of the options."""
+    umin, umax = limits_of(options)
+    own = item.limited if isinstance(item, Model) else None
+    if own is None:
+        return {"umin": umin, "umax": umax, "antiwindup": gain_of(item, options)}
+    if not (umin is None and umax is None):
+        raise ModelError("the controller's file holds its limits and its anti-windup; leave --umin and --umax away")
+    return {"umin": own.umin, "umax": own.umax, "antiwindup": own.L}
 
 
 def gain_of(item: Any, options: argparse.Namespace) -> Any:
@@ -250,8 +262,8 @@ def export(options: argparse.Namespace) -> int:
         raise ModelError(f"{file}: this is a plant; pass a design or a controller")
     umin, umax = limits_of(options)
     written = write(
-        item.system if isinstance(item, Model) else item, options.format, options.output, name=options.name,
-        force=options.force, allow_unstable=options.allow_unstable, umin=umin, umax=umax,
+        (item.limited or item.system) if isinstance(item, Model) else item, options.format, options.output,
+        name=options.name, force=options.force, allow_unstable=options.allow_unstable, umin=umin, umax=umax,
         antiwindup=gain_of(item, options), dtype="float" if options.float else "double",
     )  # fmt: skip
     if options.json:

@@ -3,7 +3,7 @@
 A JSON file says in `format` what it is:
 
     convex-synth design       what `Design.save` writes
-    convex-synth controller   what `export` writes of a controller without a plant
+    convex-synth controller   what `export` writes of a controller without a plant, with limits and gain of anti-windup
     convex-synth system       A, B, C, D of a plant or a controller, or A, B1, B2, ..., D22 of a generalised plant
 
 A system is  {"format": "convex-synth system", "format_version": 1, "dt": 0.5, "A": [[...], ...], ...}  with matrices
@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from synth import design as designs
+from synth.antiwindup import AntiWindup, as_limits
 from synth.design import Design
 from synth.errors import ModelError
 from synth.files import write_atomically
@@ -50,6 +51,7 @@ class Model:
     u: tuple[str, ...] = ()  # (m) names of the inputs
     y: tuple[str, ...] = ()  # (p) names of the outputs
     units: dict[str, str] = field(default_factory=dict)  # of the signals that have one
+    limited: AntiWindup | None = None  # a controller with the limits and the gain that its file holds
 
     def __post_init__(self):
         for key, size in (("u", self.system.nu), ("y", self.system.ny)):
@@ -123,9 +125,24 @@ def as_model(data: dict[str, Any]) -> GeneralizedPlant | Model:
     try:
         if nine:
             return GeneralizedPlant(**matrices, **names, units=units)
-        return Model(StateSpace(**matrices), names.get("u", ()), names.get("y", ()), units)
+        system = StateSpace(**matrices)
+        return Model(system, names.get("u", ()), names.get("y", ()), units, _limited(data, system))
     except (TypeError, ValueError) as error:
         raise error if isinstance(error, ModelError) else ModelError(f"the system is damaged: {error}") from None
+
+
+def _limited(data: dict[str, Any], K: StateSpace) -> AntiWindup | None:
+    """The controller with its limits, null where there are none, and its anti-windup gain, if the data has them."""
+    if "L" not in data:
+        return None
+    if missing := [name for name in ("umin", "umax") if not isinstance(data.get(name), list)]:
+        raise ModelError(f"the controller has L but no list {', '.join(missing)}; list a limit or null per command")
+    L = as_matrix("L", data["L"], (K.n, K.ny)) if K.n else np.zeros((0, K.ny))
+    umin, umax = (
+        as_limits(name, [free if limit is None else limit for limit in data[name]], K.ny)
+        for name, free in (("umin", -np.inf), ("umax", np.inf))
+    )
+    return AntiWindup(K.A, K.B, K.C, K.D, L, umin, umax, K.dt)
 
 
 def _matrix(name: str, value: Any) -> Any:
@@ -139,12 +156,14 @@ def save_system(path: str | os.PathLike[str], model: Model | StateSpace | Genera
 
     Raises
     ------
-    ModelError : the file name ends otherwise.
+    ModelError : the file name ends otherwise, or the model is a controller with limits.
     """
     path = Path(path)
     if path.suffix != ".json":
         raise ModelError(f"path ends with {path.suffix!r}; a system is saved as .json")
     model = Model(model) if isinstance(model, StateSpace) else model
+    if isinstance(model, Model) and model.limited:
+        raise ModelError("the controller has limits and anti-windup, which no system has; write it with `export`")
     nine = isinstance(model, GeneralizedPlant)
     source = model if nine else model.system
     data: dict[str, Any] = {"format": SYSTEM, "format_version": FORMAT_VERSION, "dt": source.dt}

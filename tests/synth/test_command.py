@@ -11,7 +11,9 @@ import scipy.io
 from literature import GAMMA_PECORILLA2024, compleib, cubesat_pecorilla2024
 
 from synth.__main__ import main
+from synth.antiwindup import AntiWindup
 from synth.design import Design
+from synth.export import export
 from synth.hinfinity import hinfsyn
 from synth.loopshaping import ncfsyn
 from synth.modelfiles import Model, read, save_system
@@ -134,6 +136,30 @@ def test_export(synth, tmp_path):
     assert Design.load(tmp_path / "copy.json").gamma == Design.load("shaped.json").gamma
     assert synth("export", "controller.json", "--format", "json", "-o", str(tmp_path), "--name", "plain")[0] == 0
     assert read(tmp_path / "plain.json").system.digest() == read("controller.json").system.digest()
+
+
+def test_a_controller_file_keeps_its_limits_and_its_anti_windup(synth, folder, tmp_path):
+    own = AntiWindup.of(Design.load(folder / "shaped.json"), [-1.0], [np.inf])
+    export(own, "json", tmp_path, name="limited")
+    export(own, "c", tmp_path, name="direct")
+    file = str(tmp_path / "limited.json")
+    assert synth("export", file, "--format", "c", "-o", str(tmp_path), "--name", "read")[0] == 0
+    assert (tmp_path / "read.c").read_text().replace("read", "direct").replace("READ", "DIRECT") == (
+        tmp_path / "direct.c"
+    ).read_text()
+    facts = json.loads(synth("info", file, "--json")[1])[0]
+    assert (facts["umin"], facts["umax"]) == ([-1.0], [None])
+    options = ("--plant", "plant.json", "--negative")
+    conditions = json.loads(synth("verify", file, *options, "--json")[1])[0]["conditions"]
+    assert [c["passed"] for c in conditions if c["name"] == "saturation"] == [True]
+    code, _, err = synth("verify", file, *options, "--umax=1")
+    assert code == 2
+    assert "leave --umin and --umax away" in err
+    damaged = json.loads((tmp_path / "limited.json").read_text()) | {"umin": None}
+    (tmp_path / "damaged.json").write_text(json.dumps(damaged))
+    code, _, err = synth("info", str(tmp_path / "damaged.json"))
+    assert code == 2
+    assert "no list umin" in err
 
 
 @pytest.mark.slow
