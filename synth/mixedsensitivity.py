@@ -25,10 +25,11 @@ from synth.design import Design
 from synth.errors import AssumptionError, ModelError, VerificationError
 from synth.generalized import GeneralizedPlant
 from synth.hinfinity import hinfsyn
-from synth.norms import is_stable, verify
+from synth.norms import balance, is_stable, verify
 from synth.statespace import StateSpace, as_matrix, common_timebase, feedback
 
-BOUNDARY = 1e-6  # relative to |A|: rounding moves a double eigenvalue by about 1e-8 |A|
+NEAR = 1e-3  # relative to |A|, of a pole that may be on the boundary: rounding moves a triple one by 1e-5 |A|
+BOUNDARY = 1e-12  # relative to |A|, of the change of A that puts it there
 ROUNDING = 1e-6  # relative to the shift, on the poles' distance to the boundary
 
 
@@ -154,12 +155,19 @@ def shifted(G: StateSpace, e: float) -> StateSpace:
 
 
 def check_boundary(G: StateSpace, shift: float) -> None:
-    """Raise AssumptionError for poles of G, after the shift, on the stability boundary."""
-    poles = G.poles()
-    off = np.abs(np.abs(poles) - 1) if G.discrete else np.abs(np.real(poles))
-    size = 1.0 if G.discrete else np.linalg.norm(G.A, 2) if G.n else 1.0
-    on = poles[off <= BOUNDARY * size]
-    if not on.size:
+    """Raise AssumptionError for poles of G, after the shift, on the stability boundary.
+
+    A pole is there if a change of A of the size of rounding, the least singular value of s I - A, puts it there.
+    """
+    A, I = balance(G).A, np.eye(G.n)
+    size, poles = np.linalg.norm(A, 2) if G.n else 1.0, np.linalg.eigvals(A)
+    nearest = np.exp(1j * np.angle(poles)) if G.discrete else 1j * np.imag(poles)
+    near = np.abs(poles - nearest) <= NEAR * (1.0 if G.discrete else size)
+    on = [
+        p for p, s in zip(poles[near], nearest[near], strict=True)
+        if np.linalg.svd(s * I - A, compute_uv=False)[-1] <= BOUNDARY * size
+    ]  # fmt: skip
+    if not on:
         return
     where = ", ".join(f"{p:.4g}" for p in on)
     advice = "pass another" if shift else "pass"

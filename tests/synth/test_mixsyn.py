@@ -99,6 +99,21 @@ def test_shift_of_a_discrete_plant():
     assert design.verified_norm <= design.info.shifted_norm * (1 + 1e-6)  # constant weights do not see the shift
 
 
+def test_slow_poles_are_not_on_the_boundary():
+    """A drift of a thousand seconds beside an actuator of a tenth of a millisecond is no integrator."""
+    G = StateSpace(np.diag([-1e-3, -1e4]), [[1.0], [1.0]], [[1e-3, 5e3]], [[0.0]])
+    design = mixsyn(G, performance(2, 0.5, 0.01), 1.0)
+    assert design.verified_norm <= 1.01 * design.gamma
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_a_triple_integrator_is_on_the_boundary_in_any_coordinates(dt):
+    T = np.random.default_rng(1).standard_normal((3, 3))
+    G = StateSpace(np.diag([1.0, 1.0], 1), np.eye(3)[:, 2:], np.eye(3)[:1], np.zeros((1, 1))).transform(T)
+    with pytest.raises(AssumptionError, match="poles on the stability boundary"):
+        mixsyn(c2d(G, dt) if dt else G, 0.5, 1.0)
+
+
 def test_channels_are_the_closed_loop_functions():
     """z = [W1 S; W2 K S; W3 T] at a frequency, for a plant that is not square."""
     rng = np.random.default_rng(3)
