@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from synth.antiwindup import AntiWindup
 from synth.design import Design
 from synth.errors import ExportError, ModelError, SynthError
 from synth.export.reference import SequentialController
@@ -108,7 +109,8 @@ def accept(
 
     Parameters
     ----------
-    design : Design, or a controller u = K y (positive feedback) that comes without a plant
+    design : Design, or a controller u = K y (positive feedback) that comes without a plant: a state-space system, or
+        an `AntiWindup` with the limits and the gain that it has
     plant : GeneralizedPlant to measure it on; None for the design's own. On a loop-shaping design's own plant W2 G W1
         it is Ks that is measured, since the file does not hold G; with a plant it is W1 Ks W2
     dt : sampling time in s of a continuous design, which is needed: conditions of a processor are those of samples
@@ -126,6 +128,10 @@ def accept(
     ModelError : a continuous design without `dt`, sizes that do not fit, limits or requirements that make no sense.
     """
     requirements = requirements or Requirements()
+    if isinstance(design, AntiWindup):
+        if not (umin is None and umax is None and antiwindup is None):
+            raise ModelError("umin, umax or antiwindup is given, but an AntiWindup has its own; leave them away")
+        umin, umax, antiwindup = design.umin, design.umax, design.L
     P, K, level = _loop(design, plant)
     if not (np.isfinite(overload) and overload > 1):
         raise ModelError(f"overload is {overload!r}; pass a number above 1, or the commands would not saturate")

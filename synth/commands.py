@@ -176,10 +176,10 @@ def verify(options: argparse.Namespace) -> int:
             raise ModelError(f"{file}: this is a plant; pass a design, or a controller with --plant")
         if isinstance(item, Model) and plant is None:
             raise ModelError(f"{file}: the controller comes without a plant; pass --plant")
-        controller = item.system if isinstance(item, Model) else item
+        umin, umax = limits_of(options)
         try:
             found[file] = accept(
-                controller, plant, dt=options.dt, **saturation_of(item, options),
+                source_of(item), plant, dt=options.dt, umin=umin, umax=umax, antiwindup=gain_of(item, options),
                 overload=options.overload, requirements=required,
             )  # fmt: skip
         except SynthError as error:
@@ -212,15 +212,9 @@ def limits_of(options: argparse.Namespace) -> tuple[Any, Any]:
     return umin, umax
 
 
-def saturation_of(item: Any, options: argparse.Namespace) -> dict[str, Any]:
-    """Limits and anti-windup gain: those that a controller's file holds, else those of the options."""
-    umin, umax = limits_of(options)
-    own = item.limited if isinstance(item, Model) else None
-    if own is None:
-        return {"umin": umin, "umax": umax, "antiwindup": gain_of(item, options)}
-    if not (umin is None and umax is None):
-        raise ModelError("the controller's file holds its limits and its anti-windup; leave --umin and --umax away")
-    return {"umin": own.umin, "umax": own.umax, "antiwindup": own.L}
+def source_of(item: Any) -> Any:
+    """What is measured or exported of a file: a design, or a controller, with its limits if it has some."""
+    return (item.limited or item.system) if isinstance(item, Model) else item
 
 
 def gain_of(item: Any, options: argparse.Namespace) -> Any:
@@ -262,8 +256,8 @@ def export(options: argparse.Namespace) -> int:
         raise ModelError(f"{file}: this is a plant; pass a design or a controller")
     umin, umax = limits_of(options)
     written = write(
-        (item.limited or item.system) if isinstance(item, Model) else item, options.format, options.output,
-        name=options.name, force=options.force, allow_unstable=options.allow_unstable, umin=umin, umax=umax,
+        source_of(item), options.format, options.output, name=options.name,
+        force=options.force, allow_unstable=options.allow_unstable, umin=umin, umax=umax,
         antiwindup=gain_of(item, options), dtype="float" if options.float else "double",
     )  # fmt: skip
     if options.json:

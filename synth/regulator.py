@@ -87,7 +87,13 @@ def lqrd(A: Any, B: Any, Q: Any, R: Any, dt: Any) -> tuple[np.ndarray, np.ndarra
     A, Q, R = as_matrix("A", A, (n, n)), as_weight("Q", Q, n, definite=False), as_weight("R", R, m, definite=True)
     if not (np.ndim(dt) == 0 and np.isfinite(dt) and dt > 0):
         raise ModelError(f"dt is {dt}; pass the control period in seconds")
-    cost = sampled_cost(A, B, Q, R, float(dt))
+    with np.errstate(over="ignore", invalid="ignore"):
+        cost = sampled_cost(A, B, Q, R, float(dt))
+    if not all(np.isfinite(M).all() for M in cost):
+        raise NumericalError(
+            f"the fastest mode of A, {np.abs(np.linalg.eigvals(A)).max():.4g} rad/s, has too many time constants in "
+            f"dt = {dt:g} s for an exponential; pass a shorter period, or a model without that mode"
+        )
     return dlqr(cost.F, cost.G, (cost.Q + cost.Q.T) / 2, (cost.R + cost.R.T) / 2, cost.N)
 
 

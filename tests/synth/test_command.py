@@ -154,7 +154,7 @@ def test_a_controller_file_keeps_its_limits_and_its_anti_windup(synth, folder, t
     assert [c["passed"] for c in conditions if c["name"] == "saturation"] == [True]
     code, _, err = synth("verify", file, *options, "--umax=1")
     assert code == 2
-    assert "leave --umin and --umax away" in err
+    assert "an AntiWindup has its own" in err
     damaged = json.loads((tmp_path / "limited.json").read_text()) | {"umin": None}
     (tmp_path / "damaged.json").write_text(json.dumps(damaged))
     code, _, err = synth("info", str(tmp_path / "damaged.json"))

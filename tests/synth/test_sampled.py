@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
-from synth.errors import ModelError
+from synth.errors import ModelError, NumericalError
 from synth.regulator import lqr, lqrd, sampled_cost
 from synth.sdc import EulerModel
 from synth.sdre import SdreSampled, sampled_gain
@@ -92,6 +92,8 @@ def test_euler_model_is_the_dynamics():
 def test_what_is_refused():
     with pytest.raises(ModelError, match="dt is 0"):
         lqrd(A, B, Q, R, 0)
+    with pytest.raises(NumericalError, match="the fastest mode of A, 2000 rad/s"):
+        lqrd([[-2000.0]], [[1.0]], [[1.0]], [[1.0]], 1.0)
     with pytest.raises(ModelError, match=r"pitch 1\.5708 rad"):
         EulerModel.create(INERTIA, [0, np.pi / 2, 0])
     with pytest.raises(ModelError, match="roll, pitch and yaw"):
