@@ -87,8 +87,11 @@ def lqrd(A: Any, B: Any, Q: Any, R: Any, dt: Any) -> tuple[np.ndarray, np.ndarra
     A, Q, R = as_matrix("A", A, (n, n)), as_weight("Q", Q, n, definite=False), as_weight("R", R, m, definite=True)
     if not (np.ndim(dt) == 0 and np.isfinite(dt) and dt > 0):
         raise ModelError(f"dt is {dt}; pass the control period in seconds")
+    doublings = max(int(np.ceil(np.log2(max(np.linalg.norm(A, 2) * dt, 1.0)))), 0)
     with np.errstate(over="ignore", invalid="ignore"):
-        cost = sampled_cost(A, B, Q, R, float(dt))
+        cost = sampled_cost(A, B, Q, R, float(dt) / 2**doublings)
+        for _ in range(doublings):
+            cost = _doubled(cost)
     if not all(np.isfinite(M).all() for M in cost):
         raise NumericalError(
             f"the fastest mode of A, {np.abs(np.linalg.eigvals(A)).max():.4g} rad/s, has too many time constants in "
@@ -98,7 +101,7 @@ def lqrd(A: Any, B: Any, Q: Any, R: Any, dt: Any) -> tuple[np.ndarray, np.ndarra
 
 
 def sampled_cost(A: Any, B: Any, Q: Any, R: Any, dt: Any, *, xp: Any = np, expm: Any = sla.expm) -> SampledCost:
-    """Model and cost of one period `dt` s with the command held, by one exponential (Van Loan).
+    """Model and cost of one period `dt` s with the command held, by one exponential (Van Loan), which `lqrd` takes of a part of it.
 
     With M = [[A, B], [0, 0]] and W = diag(Q, R):  exp([[-M', W], [0, M]] dt) = [[., X], [0, e^M dt]], and the integral
     of e^M't W e^Mt over the period is (e^M dt)' X. Traceable with `jax.numpy` and its `expm`.
@@ -110,6 +113,14 @@ def sampled_cost(A: Any, B: Any, Q: Any, R: Any, dt: Any, *, xp: Any = np, expm:
     end = E[n + m :, n + m :]
     J = end.T @ E[: n + m, n + m :]
     return SampledCost(end[:n, :n], end[:n, n:], J[:n, :n], J[n:, n:], J[:n, n:])
+
+
+def _doubled(cost: SampledCost) -> SampledCost:
+    """Model and cost of two periods with the same command: exact where one exponential loses the fast modes."""
+    F, G, Q, R, N = cost
+    return SampledCost(
+        F @ F, F @ G + G, Q + F.T @ Q @ F, 2 * R + G.T @ Q @ G + G.T @ N + N.T @ G, N + F.T @ (Q @ G + N)
+    )
 
 
 def lqg(G: Any, QXU: Any, QWV: Any) -> StateSpace:

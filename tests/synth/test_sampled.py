@@ -54,6 +54,19 @@ def test_gains_of_the_air_bearing_study():
     assert radius(K, 0.007) < 1 < radius(K, 0.01)
 
 
+def test_fast_modes_and_long_periods():
+    """A lag of 2 ms in a period of 3 s: one exponential of both would overflow."""
+    k, dt = 500.0, 3.0
+    K, S, _ = lqrd([[-k]], [[k]], [[1.0]], [[1.0]], dt)
+    # x = u + (x0 - u) exp(-k t): the integrals of x^2 + u^2 over the period
+    e1, e2 = (1 - np.exp(-k * dt)) / k, (1 - np.exp(-2 * k * dt)) / (2 * k)
+    Qd, Nd, Rd, F = e2, e1 - e2, 2 * dt - 2 * e1 + e2, np.exp(-k * dt)
+    P = sla.solve_discrete_are(F, 1 - F, Qd, Rd, s=Nd)
+    gain = ((1 - F) * P * F + Nd) / (Rd + (1 - F) ** 2 * P)
+    assert K[0, 0] == pytest.approx(gain.item(), rel=1e-9)
+    assert S[0, 0] == pytest.approx(P.item(), rel=1e-9)
+
+
 def test_short_periods_lead_to_the_continuous_regulator():
     K, S, _ = lqr(A, B, Q, R)
     sampled, cost, _ = lqrd(A, B, Q, R, 1e-6)
@@ -93,7 +106,7 @@ def test_what_is_refused():
     with pytest.raises(ModelError, match="dt is 0"):
         lqrd(A, B, Q, R, 0)
     with pytest.raises(NumericalError, match="the fastest mode of A, 2000 rad/s"):
-        lqrd([[-2000.0]], [[1.0]], [[1.0]], [[1.0]], 1.0)
+        lqrd([[2000.0]], [[1.0]], [[1.0]], [[1.0]], 1.0)
     with pytest.raises(ModelError, match=r"pitch 1\.5708 rad"):
         EulerModel.create(INERTIA, [0, np.pi / 2, 0])
     with pytest.raises(ModelError, match="roll, pitch and yaw"):
