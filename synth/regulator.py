@@ -101,10 +101,11 @@ def lqrd(A: Any, B: Any, Q: Any, R: Any, dt: Any) -> tuple[np.ndarray, np.ndarra
 
 
 def sampled_cost(A: Any, B: Any, Q: Any, R: Any, dt: Any, *, xp: Any = np, expm: Any = sla.expm) -> SampledCost:
-    """Model and cost of one period `dt` s with the command held, by one exponential (Van Loan), which `lqrd` takes of a part of it.
+    """Model and cost of one period `dt` s with the command held, by one exponential (Van Loan).
 
     With M = [[A, B], [0, 0]] and W = diag(Q, R):  exp([[-M', W], [0, M]] dt) = [[., X], [0, e^M dt]], and the integral
     of e^M't W e^Mt over the period is (e^M dt)' X. Traceable with `jax.numpy` and its `expm`.
+    It loses digits where modes of A decay within a small part of the period: `lqrd` doubles a short one.
     """
     n, m = B.shape
     M = xp.block([[A, B], [xp.zeros((m, n + m))]])
