@@ -29,7 +29,7 @@ from synth.export.reference import SequentialController
 from synth.generalized import GeneralizedPlant
 from synth.norms import is_stable, spectral_radius, verify
 from synth.stabilitymargins import Margins, margins
-from synth.statespace import StateSpace, c2d, common_timebase, series
+from synth.statespace import StateSpace, c2d, common_timebase, delayed
 from synth.threads import one_thread
 
 RETURNED = 1e-2  # of the linear response's peak
@@ -190,12 +190,6 @@ def sampled(P: GeneralizedPlant, dt: float) -> GeneralizedPlant:
     _, _, m, _, p = P.sizes
     held = GeneralizedPlant.partition(c2d(P.system, dt), p, m)
     return replace(held, w=P.w, u=P.u, z=P.z, y=P.y, units=P.units)
-
-
-def delayed(K: StateSpace) -> StateSpace:
-    """A discrete system whose outputs come one sample later."""
-    m = K.ny
-    return series(K, StateSpace(np.zeros((m, m)), np.eye(m), np.eye(m), np.zeros((m, m)), K.dt))
 
 
 def _measured(

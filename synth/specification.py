@@ -51,11 +51,13 @@ class Study:
     requirements: Requirements = field(default_factory=Requirements)
     gate: dict[str, Any] = field(default_factory=dict)  # of `accept`
     max_norm: float | None = None
+    signals: dict[str, Any] = field(default_factory=dict)  # names and units that the synthesis does not know
 
     def design(self) -> Design:
         """Design and verify; raises what `hinfsyn`, `ncfsyn` or `mixsyn` do."""
         synthesis = {"loopshaping": ncfsyn, "mixedsensitivity": mixsyn}.get(self.problem, hinfsyn)
-        return synthesis(self.plant, **self.options)
+        design = synthesis(self.plant, **self.options)
+        return replace(design, plant=replace(design.plant, **self.signals)) if self.signals else design
 
     def accept(self, design: Design) -> Acceptance | None:
         """The acceptance gate; None for a continuous design without a sampling time to run at."""
@@ -101,7 +103,8 @@ def read_study(path: str | os.PathLike[str]) -> Study:
 
 def _study(root: Table, folder: Path) -> Study | None:
     """The whole file; None if something in it is wrong."""
-    plant, about = _plant(root.table("plant", needed=True), folder)
+    described = root.table("plant", needed=True)
+    plant, about = _plant(described, folder)
     synthesis, weights = root.table("synthesis", needed=True), root.table("weights")
     problem = synthesis.text("problem", PROBLEMS)
     if problem is None and not synthesis.has("problem"):
@@ -109,6 +112,10 @@ def _study(root: Table, folder: Path) -> Study | None:
     options = _options(synthesis, problem)
     negative = problem == "loopshaping" and synthesis.text("feedback", ("negative", "positive")) == "negative"
     target = _weighed(problem, plant, about, weights, options, negative)
+    signals = _errors(about) if problem == "mixedsensitivity" else {}
+    if problem == "loopshaping":
+        for key in {"u", "y", "units"} & described.data.keys():
+            described.wrong(key, "loop shaping has no use for names: its plant is the shaped one; leave this away")
     m = None if plant is None else plant.sizes[2] if isinstance(plant, GeneralizedPlant) else plant.nu
     asked = root.table("specifications")
     requirements, gate, max_norm = _specifications(asked, m)
@@ -120,7 +127,7 @@ def _study(root: Table, folder: Path) -> Study | None:
     root.close()
     if root.problems or problem is None or target is None:
         return None
-    return Study(problem, target, options, requirements, gate, max_norm)
+    return Study(problem, target, options, requirements, gate, max_norm, signals)
 
 
 def _plant(table: Table, folder: Path) -> tuple[GeneralizedPlant | StateSpace | None, dict[str, Any]]:
@@ -262,6 +269,14 @@ def _weighed(
     except ModelError as error:
         weights.problems.append(f"plant: {error}")
         return None
+
+
+def _errors(about: dict[str, Any]) -> dict[str, Any]:
+    """Names and units for a controller that sees the errors of the outputs; what is not given keeps its default."""
+    named = {s: f"error {s}" for s in about["y"]}
+    units = {named.get(s, s): unit for s, unit in about["units"].items()}
+    found = {"u": tuple(about["u"]), "y": tuple(named.values()), "units": units}
+    return {key: value for key, value in found.items() if value}
 
 
 def _shaping_weight(weights: Table, key: str, size: int | None, plant: StateSpace | None) -> Any:

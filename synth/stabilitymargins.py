@@ -26,7 +26,7 @@ from scipy.optimize import root_scalar
 from synth.errors import ModelError
 from synth.loopshaping import ncfmargin
 from synth.norms import balance, hinfnorm, is_stable
-from synth.statespace import StateSpace, cayley, cayley_rate, common_timebase, feedback, lft, series
+from synth.statespace import StateSpace, cayley, cayley_rate, common_timebase, delayed, feedback, lft, series
 
 NEAR_CIRCLE = 1e-4  # an eigenvalue this near the unit circle is a candidate; candidates are then polished
 REAL = 1e-6  # |Im L| / |L| up to which a polished candidate counts as real
@@ -135,9 +135,19 @@ def margin(L: Any, sign: int = -1) -> Margin:
     lags = [(float(phi % (2 * np.pi)) / to_frequency(angle), angle) for angle, phi in crossings if angle > 0]
     if not G.discrete and abs(G.D[0, 0]) > 1:  # at ever higher frequencies a delay, however short, turns L to -1
         lags.append((0.0, np.pi))
+    if G.discrete and abs(_response(H, np.pi)) > 1:  # likewise, with more and more samples
+        lags.append((_samples_borne(G, min(lags, default=(np.inf,))[0] / G.dt) * G.dt, np.pi))
     delay, at_delay = min(lags, default=(np.inf, np.nan))
     frequencies = (float(to_frequency(angle)) for angle in (at_gain, at_phase, at_delay))
     return Margin(up, down, float(phase), float(delay), *frequencies)
+
+
+def _samples_borne(G: StateSpace, most: float) -> float:
+    """Whole samples of delay, `most` at most, at which a loop that is above one at the Nyquist frequency fails."""
+    count = 0
+    while count < most and _closed_loop_stable(G):
+        G, count = delayed(G), count + 1
+    return min(count, most)
 
 
 def diskmargin(L: Any, sign: int = -1) -> DiskMargin:
@@ -277,7 +287,7 @@ def _unit_crossings(L: StateSpace) -> list[float]:
 def _unit_angles(M: np.ndarray, N: np.ndarray) -> np.ndarray:
     """Angles from 0 to pi of the eigenvalues of M - lambda N near the unit circle."""
     alpha, beta = np.asarray(sla.eigvals(M, N, homogeneous_eigvals=True))
-    near = np.abs(np.abs(alpha) - np.abs(beta)) <= NEAR_CIRCLE * np.abs(beta)
+    near = (np.abs(np.abs(alpha) - np.abs(beta)) <= NEAR_CIRCLE * np.abs(beta)) & (beta != 0)  # 0/0: of no frequency
     return np.unique(np.abs(np.angle(alpha[near] / beta[near])))
 
 

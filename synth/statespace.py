@@ -181,6 +181,12 @@ def series(G: StateSpace, H: StateSpace) -> StateSpace:
     return StateSpace(A, np.vstack([G.B, H.B @ G.D]), np.hstack([H.D @ G.C, H.C]), H.D @ G.D, dt)
 
 
+def delayed(G: StateSpace) -> StateSpace:
+    """A discrete system whose outputs come one sample later."""
+    p = G.ny
+    return series(G, StateSpace(np.zeros((p, p)), np.eye(p), np.eye(p), np.zeros((p, p)), G.dt))
+
+
 def feedback(G: StateSpace, K: StateSpace) -> StateSpace:
     """Negative feedback y = G (u - K y)."""
     dt = common_timebase(G, K)

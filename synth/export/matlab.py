@@ -38,6 +38,8 @@ def mat_bytes(design: Design) -> bytes:
         "date": info["date"],
         "versions": _cell([f"{name} {version}" for name, version in info["versions"].items()]),
     }
+    if info["shifted_norm"] is not None:  # mixed sensitivity with a shifted axis: gamma belongs to that problem
+        content |= {"shift": float(info["shift"]), "shifted_norm": float(info["shifted_norm"])}
     for name, parts in data.get("shaping", {}).items():  # K = W1 Ks W2; Ks closes P
         content[name] = {key: np.asarray(value, dtype=float) for key, value in parts.items()}
     buffer = io.BytesIO()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from literature import compleib, cubesat_pecorilla2024
 
-from synth.acceptance import Acceptance, Requirements, accept, delayed, inner, simulate
+from synth.acceptance import Acceptance, Requirements, accept, inner, simulate
 from synth.antiwindup import AntiWindup
 from synth.design import Design
 from synth.errors import ModelError
@@ -14,7 +14,7 @@ from synth.hinfinity import hinfsyn
 from synth.loopshaping import four_block, ncfsyn
 from synth.norms import hinfnorm
 from synth.stabilitymargins import margins
-from synth.statespace import StateSpace, c2d
+from synth.statespace import StateSpace, c2d, delayed
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from synth import ModelError, NumericalError, StateSpace
-from synth.fuel import free_motion, fuel_mpc, minimum_fuel, pose, response
+from synth.fuel import free_motion, fuel_mpc, minimum_fuel, pose, primer_peak, response
 from synth.parametriclp import canonicalise
 from synth.parametricqp import CLARABEL_SETTINGS
 from synth.statespace import c2d
@@ -59,6 +59,15 @@ def test_bound_of_coming_to_rest():
     assert found.upper == pytest.approx(2 * 5 / 18, rel=1e-6)
     assert found.lower <= 2 * 5 / 20 * (1 + 1e-6)
     assert found.peak > 1
+
+
+def test_peak_of_the_primer_is_never_missed():
+    """p = sin(t) / 1 between the samples of an oscillator that is sampled too coarsely to see it."""
+    G = StateSpace([[0, 1], [-1, 0]], [[0], [1]], [[1, 0]], [[0]])
+    for h in (0.3, 0.1, 0.03):
+        found = primer_peak(G, np.array([[1.0]]), h, 1)
+        top = np.sin(np.linspace(0, 20 * h, 20001)).max()
+        assert top <= found <= top + h**2
 
 
 def test_bound_under_a_known_push():

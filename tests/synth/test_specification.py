@@ -82,8 +82,12 @@ W2 = 1
 
 def test_mixed_sensitivity_of_the_textbook(tmp_path):
     """Skogestad and Postlethwaite (2005), example 2.17, first design: gamma 1.37."""
-    study = study_of(MIXED, tmp_path)
+    study = study_of(
+        MIXED.replace("dt = 0\n", 'dt = 0\nu = ["valve"]\ny = ["level"]\nunits = { level = "m" }\n'), tmp_path
+    )
     design = study.design()
+    assert (design.plant.u, design.plant.y) == (("valve",), ("error level",))
+    assert design.plant.units == {"error level": "m"}
     assert design.gamma == pytest.approx(1.37, abs=5e-3)
     assert study.accept(design) is None
     assert study.missed(design, None) == []
@@ -96,6 +100,11 @@ def test_mixed_sensitivity_of_the_textbook(tmp_path):
 def test_a_continuous_design_with_margins_needs_a_period(tmp_path):
     (problem,) = problems_of(MIXED + "[specifications]\nphase_margin_deg = 30\n", tmp_path)
     assert problem.startswith("specifications.dt: missing; the gate measures a sampled controller")
+
+
+def test_names_that_loop_shaping_would_drop_are_refused(tmp_path):
+    (problem,) = problems_of(SHAPING.replace("[plant]\n", '[plant]\nu = ["force"]\n', 1), tmp_path)
+    assert problem.startswith("plant.u: loop shaping has no use for names")
 
 
 def test_weights_of_mixed_sensitivity_are_checked(tmp_path):

@@ -12,7 +12,7 @@ from synth.errors import ModelError
 from synth.gap import gapmetric
 from synth.norms import is_stable
 from synth.stabilitymargins import diskmargin, margin, margins
-from synth.statespace import StateSpace, c2d, feedback
+from synth.statespace import StateSpace, c2d, delayed, feedback
 
 
 def transfer(numerator, denominator, dt=0.0) -> StateSpace:
@@ -168,3 +168,21 @@ def test_a_loop_above_one_at_high_frequencies_bears_no_delay():
     assert (found.delay, found.delay_frequency) == (0, np.inf)
     assert (found.gain_up, found.gain_down, found.phase) == (np.inf, 0, np.pi)
     assert np.isnan([found.gain_frequency, found.phase_frequency]).all()
+
+
+@pytest.mark.parametrize(("gain", "samples"), [(2.0, 1), (-3.0, 1), (0.9, np.inf)])
+def test_a_sampled_gain_bears_no_sample_of_delay_above_one(gain, samples):
+    """1 + g z^-k has all its roots at the modulus |g|^(1/k)."""
+    assert margin(StateSpace.gain([[gain]], 0.1)).delay == pytest.approx(0.1 * samples)
+
+
+def test_a_loop_above_one_at_the_nyquist_frequency_fails_at_a_whole_sample():
+    """L = 1.2 (z + 0.2) / (z + 0.5): the count is that of the eigenvalues."""
+    L = StateSpace([[-0.5]], [[1.0]], [[1.2 * (0.2 - 0.5)]], [[1.2]], 1.0)
+    found = margin(L).delay
+    radii = []
+    for _ in range(int(found) + 1):
+        radii.append(np.abs(feedback(L, StateSpace.gain([[1.0]], 1.0)).poles()).max())
+        L = delayed(L)
+    assert all(r < 1 for r in radii[:-1])
+    assert radii[-1] >= 1
