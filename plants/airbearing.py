@@ -18,8 +18,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from plants.actuators import ReactionWheels
-from plants.checks import real
-from plants.errors import ScenarioError
+from plants.checks import real, whole
 from plants.eulerbody import EulerBody, EulerState, RandomTorque, check_pitch
 from plants.indices import step_response
 from plants.kalman import Kalman, RawAngles, kalman
@@ -109,9 +108,7 @@ def manoeuvre(
         A target at or beyond pitch +-90 deg.
     """
     period = float(controller.dt)
-    periods = round(duration / period)
-    if periods < 1 or not np.isclose(periods * period, duration, rtol=1e-9, atol=0):
-        raise ScenarioError(f"duration = {duration} s: give a whole number of periods of {period} s, at least one")
+    periods = whole("duration", duration, period, "control periods")
     noise = real("noise", one.noise, low=0)
     loop = Loop(
         plant=BODY,

@@ -24,7 +24,7 @@ from jax.typing import ArrayLike
 from plants import attitude, blocks
 from plants.actuators import ReactionWheels
 from plants.campaign import draw
-from plants.checks import positive, real
+from plants.checks import positive, real, whole
 from plants.environment import FreeSpace, OrbitEnv
 from plants.errors import ScenarioError
 from plants.indices import settling_time
@@ -187,10 +187,7 @@ def manoeuvre(
     ScenarioError
         Unusable numbers; the message names them.
     """
-    positive("period", period)
-    periods = round(duration / period)
-    if periods < 1 or not np.isclose(periods * period, duration, rtol=1e-9, atol=0):
-        raise ScenarioError(f"duration = {duration} s: give a whole number of periods of {period} s, at least one")
+    periods = whole("duration", duration, positive("period", period), "control periods")
     q, w = real("q", start.q, (4,)), real("rates", start.rates, (3,))
     if not np.isclose(np.linalg.norm(q), 1, rtol=0, atol=1e-9):
         raise ScenarioError(f"q = {q.tolist()} has length {np.linalg.norm(q)}: give a unit quaternion")

@@ -61,3 +61,18 @@ def positive(name: str, value: Any, shape: tuple[int | None, ...] = (), *, infin
     if not isinstance(array, Tracer) and not (array > 0).all():
         raise ScenarioError(f"{name} must be positive, got {array.tolist()}")
     return array
+
+
+def whole(name: str, value: Any, part: Any, what: str) -> int:
+    """How many times `part` s fit into `value` s, at least once and without rest (to 1e-9).
+
+    Raises
+    ------
+    ScenarioError
+        They do not; the message names both, and `what` a part is, such as "control periods".
+    """
+    value, part = float(positive(name, value)), float(positive(what, part))
+    count = round(value / part)
+    if count < 1 or abs(count * part - value) > 1e-9 * value:
+        raise ScenarioError(f"{name} = {value} s: give a whole number of {what} of {part} s, at least one")
+    return count

@@ -17,7 +17,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from plants import gravity
-from plants.checks import real
+from plants.checks import real, whole
 from plants.errors import ScenarioError
 from plants.indices import settling_time
 from plants.linearize import LinearModel, linearize
@@ -144,9 +144,7 @@ def case(
         NaN, wrong shapes, a duration that is not a whole number of control periods.
     """
     dt = float(controller.dt)
-    periods = round(duration / dt)
-    if periods < 1 or abs(periods * dt - duration) > 1e-9 * duration:
-        raise ScenarioError(f"duration = {duration} s must be a whole number of control periods of {dt} s")
+    periods = whole("duration", duration, dt, "control periods")
     above = sky(duration)
     loop = Loop(
         plant=satellite() if perturbed else unperturbed(),
@@ -176,9 +174,7 @@ def operational(
     what `case` refuses. The filter starts at the true state with the uncertainty of `station_ekf`.
     """
     loop, scenario = case(controller, start, duration, limit=force, run=run, seed=seed)
-    samples = round(scenario.dt / SAMPLE)
-    if samples < 1 or abs(samples * SAMPLE - scenario.dt) > 1e-9 * scenario.dt:
-        raise ScenarioError(f"controller.dt = {scenario.dt} s must be a whole number of samples of {SAMPLE} s")
+    samples = whole("controller.dt", scenario.dt, SAMPLE, "samples")
     loop = replace(
         loop,
         sensors=tracking(),

@@ -13,8 +13,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from plants import blocks
-from plants.checks import Numbers, positive
-from plants.errors import ScenarioError
+from plants.checks import Numbers, positive, whole
 
 
 @partial(blocks.node, data_fields=["limit"], meta_fields=[])
@@ -77,10 +76,7 @@ class PulsedThrusters:
             NaN, a number that is not positive, a period that is not a whole number of pulses.
         """
         push = positive("force", force) / positive("mass", mass)
-        pulses = float(positive("period", period) / positive("shortest", shortest))
-        most = np.round(pulses)
-        if abs(pulses - most) > 1e-9 * pulses or most < 1:
-            raise ScenarioError(f"period = {period} s must be a whole number of shortest pulses of {shortest} s")
+        most = np.asarray(float(whole("period", period, positive("shortest", shortest), "shortest pulses")))
         return cls(limit=push, bit=push / most, most=most)
 
     def init(self) -> Array:

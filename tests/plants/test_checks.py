@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from plants.checks import positive, real
+from plants.checks import positive, real, whole
 from plants.errors import ScenarioError
 
 
@@ -57,3 +57,14 @@ def test_positive_numbers():
         positive("noise", [1.0, 0.0], (2,))
     with pytest.raises(ScenarioError, match="mass must be finite"):
         positive("mass", np.nan)
+
+
+def test_parts_that_fit_are_counted():
+    assert whole("duration", 1800.0, 0.05, "periods") == 36000
+    assert whole("duration", 0.3, 0.1, "periods") == 3
+
+
+@pytest.mark.parametrize("value", [0.12, 0.04, 0.0, -0.05, np.nan])
+def test_parts_that_do_not_fit_are_refused(value):
+    with pytest.raises(ScenarioError, match="duration"):
+        whole("duration", value, 0.05, "periods")
