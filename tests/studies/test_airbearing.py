@@ -6,10 +6,11 @@ import airbearing as study
 import numpy as np
 import pytest
 import scipy.linalg as sla
+from browser import check, needs_chromium
+from studyrun import run
 
 from plants import airbearing
 from plants.airbearing import DEG
-from plants.study import judged
 from synth.regulator import lqrd, sampled_cost
 
 pytestmark = pytest.mark.slow
@@ -21,17 +22,7 @@ RUNS = 12
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
     """The whole study, and its page."""
-    out, kept = tmp_path_factory.mktemp("airbearing"), {}
-    original = study.fly
-
-    def fly(found, *rest):
-        kept["study"] = found
-        original(found, *rest)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(study, "fly", fly)
-        assert study.main(["--runs", str(RUNS), "--out", str(out)]) == 0
-    return kept["study"], {c.text: c for c in judged(study.statements(kept["study"]))}, out
+    return run(study, ["--runs", str(RUNS)], tmp_path_factory.mktemp("airbearing"))
 
 
 def test_settling_times_and_overshoots(flown):
@@ -131,3 +122,8 @@ def test_report(flown):
         assert f"Figure {number}" in page
     assert "complete" in page
     assert not re.search(r'(src|href)="(https?:)?//', page)
+
+
+@needs_chromium
+def test_report_in_a_browser(flown):
+    check(flown.out / "report.html", figures=10)

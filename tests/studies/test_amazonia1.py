@@ -8,44 +8,25 @@ import amazonia1_region as region
 import numpy as np
 import pytest
 from browser import check, needs_chromium
+from studyrun import run
 
 from plants import amazonia1, campaign
-from plants.study import judged
 
 pytestmark = pytest.mark.slow
 
 SETTLES = (study.SDRE, study.MRP, study.LQR, study.PD, study.PID, study.STATIC, study.DYNAMIC)
 
 
-def run(module, arguments):
-    """`main` and the study it filled."""
-    kept = {}
-    original = module.fly
-
-    def fly(s, *rest):
-        kept["study"] = s
-        original(s, *rest)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "fly", fly)
-        assert module.main(arguments) == 0
-    return kept["study"]
-
-
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
     """Twelve runs of the Monte Carlo at full length, every controller."""
-    out = tmp_path_factory.mktemp("amazonia1")
-    s = run(study, ["--runs", "12", "--out", str(out)])
-    return s, {c.text: c for c in judged(study.statements(s))}, out
+    return run(study, ["--runs", "12"], tmp_path_factory.mktemp("amazonia1"))
 
 
 @pytest.fixture(scope="module")
 def attracted(tmp_path_factory):
     """Forty initial conditions at full length."""
-    out = tmp_path_factory.mktemp("region")
-    s = run(region, ["--runs", "40", "--out", str(out)])
-    return s, {c.text: c for c in judged(region.statements(s))}, out
+    return run(region, ["--runs", "40"], tmp_path_factory.mktemp("region"))
 
 
 def test_every_controller_settles_every_run(flown):

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from browser import check, needs_chromium
 from cubesat3u_claims import growth
+from studyrun import run
 
 from plants import campaign, cubesat3u
-from plants.study import judged
 from synth import Design
 from synth.errors import ModelError
 
@@ -20,19 +20,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
     """Five dispersed runs of full length: the study, its claims by their text, and the folder."""
-    out = tmp_path_factory.mktemp("cubesat3u")
-    kept = {}
-    original = study.fly
-
-    def fly(s, *arguments):
-        kept["study"] = s
-        original(s, *arguments)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(study, "fly", fly)
-        assert study.main(["--runs", "5", "--out", str(out)]) == 0
-    claims = judged(study.statements(kept["study"]))
-    return kept["study"], {c.text: c.verdict for c in claims}, out
+    return run(study, ["--runs", "5"], tmp_path_factory.mktemp("cubesat3u"))
 
 
 def test_ekf_with_hinf_meets_table_1_in_every_run(flown):
@@ -41,7 +29,7 @@ def test_ekf_with_hinf_meets_table_1_in_every_run(flown):
 
 
 def test_qualitative_findings(flown):
-    s, verdicts, _ = flown
+    s, verdicts = flown.study, {text: claim.verdict for text, claim in flown.claims.items()}
     assert not study.passes(s.nominal[study.SVD_HINF])["AKE"]
     assert not study.passes(s.campaigns[study.SVD_HINF].results)["AKE"].any()
     pse = {name: study.worst(i, "pse") for name, i in s.nominal.items()}

@@ -6,10 +6,11 @@ import geo as study
 import geo_controllers as design
 import numpy as np
 import pytest
+from browser import check, needs_chromium
 from geo_claims import HINF_TOTAL, HOLD, PERTURBED, REACH, TOTAL
+from studyrun import run
 
 from plants import geo
-from plants.study import judged
 
 pytestmark = pytest.mark.slow
 
@@ -17,17 +18,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
     """The quick look: every scenario, one noisy run, two days of box keeping."""
-    out, kept = tmp_path_factory.mktemp("geo"), []
-    original = study.fly
-
-    def fly(found, *rest):
-        kept.append(found)
-        original(found, *rest)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(study, "fly", fly)
-        assert study.main(["--fast", "--out", str(out)]) == 0
-    return kept[0], {claim.text: claim for claim in judged(study.statements(kept[0]))}, out
+    return run(study, ["--fast"], tmp_path_factory.mktemp("geo"))
 
 
 def test_eigenvalues_of_the_thesis():
@@ -152,3 +143,8 @@ def test_bad_options_are_refused(arguments, message, capsys):
     with pytest.raises(SystemExit):
         study.main(arguments)
     assert message in capsys.readouterr().err
+
+
+@needs_chromium
+def test_report_in_a_browser(flown):
+    check(flown.out / "report.html", figures=4)
