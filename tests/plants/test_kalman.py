@@ -69,7 +69,7 @@ def test_what_is_refused():
     controller = state_feedback(np.zeros((3, 9)), 0.1)
     with pytest.raises(SingularityError, match="target has the pitch 95 deg"):
         airbearing.manoeuvre(airbearing.case(np.radians([0, 95, 0])), controller, airbearing.raw(), duration=1.0)
-    with pytest.raises(ScenarioError, match="whole number of periods"):
+    with pytest.raises(ScenarioError, match="whole number of control periods"):
         airbearing.manoeuvre(airbearing.case(), controller, airbearing.raw(), duration=0.25)
     loop, scenario = airbearing.manoeuvre(airbearing.case(), controller, airbearing.raw(), duration=1.0)
     assert isinstance(loop, Loop)
