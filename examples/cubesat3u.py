@@ -33,8 +33,9 @@ from cubesat3u_figures import drawings, indices_figure
 from tqdm import tqdm
 
 import synth
-from plants import attitude, campaign, cubesat3u, indices, report, simulate, study
+from plants import campaign, cubesat3u, indices, report, simulate, study
 from plants.cubesat3u import DEG, REQUIREMENTS
+from plants.dynamics import attitude
 from plants.indices import Indices
 from plants.loop import Loop, Run, Scenario
 from plants.study import Table

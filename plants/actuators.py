@@ -13,8 +13,8 @@ from jax.typing import ArrayLike
 
 from plants import blocks
 from plants.checks import Numbers, real
+from plants.dynamics.rigidbody import BodyState
 from plants.errors import ScenarioError
-from plants.rigidbody import BodyState
 
 
 @partial(

@@ -21,15 +21,16 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from plants import attitude, blocks
+from plants import blocks
 from plants.actuators import ReactionWheels
 from plants.campaign import draw
 from plants.checks import positive, real, whole
+from plants.dynamics import attitude
+from plants.dynamics.rigidbody import BodyState, RigidBody
 from plants.environment import FreeSpace, OrbitEnv
 from plants.errors import ScenarioError
 from plants.indices import settling_time
 from plants.loop import Controller, Loop, Run, Scenario
-from plants.rigidbody import BodyState, RigidBody
 
 DEG = np.pi / 180
 RPM = 2 * np.pi / 60

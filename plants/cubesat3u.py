@@ -20,14 +20,15 @@ from jax import Array
 from jax.typing import ArrayLike
 from scipy.linalg import expm
 
-from plants import attitude, navigation, orbit, sensors
+from plants import navigation, orbit, sensors
 from plants.actuators import ReactionWheels
 from plants.checks import real
 from plants.disturbances import Disturbance, Drag, GravityGradient, ResidualDipole, SolarPressure
+from plants.dynamics import attitude
+from plants.dynamics.rigidbody import BodyState, RigidBody, state_from
 from plants.environment import CircularEnvironment, Environment, sun_position
 from plants.errors import ScenarioError
 from plants.linearize import LinearModel, linearize
-from plants.rigidbody import BodyState, RigidBody, state_from
 
 DEG = np.pi / 180
 

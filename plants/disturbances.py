@@ -14,8 +14,8 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from plants import blocks
-from plants.attitude import cross, dot, rotate
 from plants.checks import Numbers, real
+from plants.dynamics.attitude import cross, dot, rotate
 from plants.environment import OrbitEnv
 from plants.orbit import MU
 

@@ -24,8 +24,9 @@ from jax import Array
 from jax.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-from plants import attitude, blocks, orbit
+from plants import blocks, orbit
 from plants.checks import Numbers, positive, real
+from plants.dynamics import attitude
 from plants.errors import ScenarioError
 from plants.orbit import EARTH_RADIUS, Orbit
 

@@ -2,7 +2,7 @@
 
 After a thesis of the SpaceMaster programme on station keeping by optimal and H-infinity control; section and figure
 numbers are its own. It names no longitude, date, area or noise: those numbers are ours. Positions are relative to
-the ideal point, x radial, y east, z north (`plants.relative`); the satellite's attitude is ideal. Inputs are
+the ideal point, x radial, y east, z north (`plants.dynamics.relative`); the satellite's attitude is ideal. Inputs are
 accelerations in m/s^2, so that fuel is delta-v in m/s, the sum over the axes, as six thrusters would spend it.
 """
 
@@ -18,11 +18,11 @@ from jax.typing import ArrayLike
 
 from plants import gravity
 from plants.checks import real, whole
+from plants.dynamics.relative import EARTH_RATE, Sky, Station, StationState
 from plants.errors import ScenarioError
 from plants.indices import settling_time
 from plants.linearize import LinearModel, linearize
 from plants.loop import Loop, Run, Scenario
-from plants.relative import EARTH_RATE, Sky, Station, StationState
 from plants.thrusters import PulsedThrusters, Thrusters
 from plants.tracking import StateSensor, StationEkf, Tracking, Unfiltered, station_ekf
 

@@ -16,9 +16,9 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from plants import blocks
-from plants.attitude import cross, dot
 from plants.checks import Numbers, positive
 from plants.disturbances import SOLAR_PRESSURE
+from plants.dynamics.attitude import cross, dot
 from plants.environment import visible_fraction
 from plants.orbit import EARTH_RADIUS, MU
 

@@ -22,7 +22,8 @@ from jax import Array
 from jax.typing import ArrayLike
 from scipy.stats import beta
 
-from plants import attitude, blocks
+from plants import blocks
+from plants.dynamics import attitude
 from plants.errors import ScenarioError
 from plants.loop import Run
 

@@ -22,8 +22,8 @@ from jax.typing import ArrayLike
 from numpy.typing import ArrayLike as Guess
 
 from plants.checks import Numbers, real
+from plants.dynamics.eulerbody import EulerBody, kinematics
 from plants.errors import ScenarioError
-from plants.eulerbody import EulerBody, kinematics
 from plants.navigation import scalar_updates
 from plants.sensors import AngleRate, AngleRateSuite
 

@@ -18,10 +18,10 @@ from jax import Array
 from jax.typing import ArrayLike
 from numpy.typing import ArrayLike as Numbers
 
-from plants import attitude
 from plants.checks import real
+from plants.dynamics import attitude
+from plants.dynamics.rigidbody import BodyState, RigidBody
 from plants.errors import ScenarioError
-from plants.rigidbody import BodyState, RigidBody
 from plants.sensors import AttitudeSuite, Measurement
 
 PARALLEL = 1e-6  # () sine of the angle between two directions below which they fix no attitude

@@ -13,8 +13,8 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from plants import attitude
 from plants.checks import real
+from plants.dynamics import attitude
 from plants.errors import ScenarioError
 
 MU = 3.986004418e14  # () m^3/s^2  Earth's gravitational parameter, IERS Conventions (2010) without the last digits

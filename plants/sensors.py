@@ -12,8 +12,8 @@ from jax import Array
 from jax.typing import ArrayLike
 from numpy.typing import ArrayLike as Numbers
 
-from plants import attitude
 from plants.checks import real
+from plants.dynamics import attitude
 
 DUSK = 0.5  # () visible fraction of the Sun below which the sun sensor gives no direction
 

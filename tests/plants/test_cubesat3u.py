@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
-from plants import attitude, cubesat3u
+from plants import cubesat3u
 from plants.disturbances import seen_from
+from plants.dynamics import attitude
 from plants.errors import ScenarioError
 
 

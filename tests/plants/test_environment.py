@@ -8,7 +8,8 @@ import numpy as np
 import ppigrf
 import pytest
 
-from plants import attitude, environment, orbit
+from plants import environment, orbit
+from plants.dynamics import attitude
 from plants.environment import Atmosphere, CircularEnvironment, Environment, FreeSpace
 from plants.errors import ScenarioError
 

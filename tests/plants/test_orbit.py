@@ -6,7 +6,8 @@ import jax
 import numpy as np
 import pytest
 
-from plants import attitude, orbit
+from plants import orbit
+from plants.dynamics import attitude
 from plants.errors import ScenarioError
 from plants.orbit import J2, MU, Orbit
 

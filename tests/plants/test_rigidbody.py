@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from plants import attitude, orbit
+from plants import orbit
 from plants.disturbances import ConstantTorque, GravityGradient
+from plants.dynamics import attitude
+from plants.dynamics.rigidbody import BodyState, RigidBody, state_from
 from plants.environment import CircularEnvironment, Environment, FreeSpace
 from plants.errors import ScenarioError
-from plants.rigidbody import BodyState, RigidBody, state_from
 from plants.simulate import Loop, Scenario, simulate
 
 DATA = Path(__file__).parent.parent / "data"

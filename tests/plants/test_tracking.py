@@ -9,8 +9,8 @@ import pytest
 from scipy.linalg import expm, solve_discrete_are
 
 from plants import geo
+from plants.dynamics.relative import StationState
 from plants.errors import ScenarioError
-from plants.relative import StationState
 from plants.simulate import simulate_many
 from plants.tracking import StationEkf, observability
 

@@ -23,8 +23,8 @@ from jax.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from plants import blocks, gravity
-from plants.attitude import cross
 from plants.checks import Numbers, positive, real
+from plants.dynamics.attitude import cross
 from plants.environment import julian, sun_position
 from plants.gravity import Harmonics
 

@@ -20,8 +20,9 @@ from jax import Array
 from jax.core import Tracer
 from jax.typing import ArrayLike
 
-from plants import attitude, blocks
+from plants import blocks
 from plants.checks import Numbers, positive, real
+from plants.dynamics import attitude
 from plants.errors import ScenarioError, SingularityError
 
 MARGIN = np.radians(0.5)  # rad of pitch before +-90 deg, where E has grown to 115
@@ -159,6 +160,6 @@ def check_pitch(name: str, angles: ArrayLike) -> np.ndarray:
     if abs(a[1]) >= np.pi / 2 - MARGIN:
         raise SingularityError(
             f"{name} has the pitch {np.degrees(a[1]):.6g} deg, where 3-2-1 Euler angles have no rate: stay within "
-            f"+-{90 - np.degrees(MARGIN):g} deg, or describe the attitude by a quaternion (`plants.rigidbody`)"
+            f"+-{90 - np.degrees(MARGIN):g} deg, or describe the attitude by a quaternion (`plants.dynamics.rigidbody`)"
         )
     return a
