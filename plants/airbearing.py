@@ -20,8 +20,8 @@ from jax.typing import ArrayLike
 from plants.actuators import ReactionWheels
 from plants.checks import real, whole
 from plants.dynamics.eulerbody import EulerBody, EulerState, RandomTorque, check_pitch
+from plants.estimation.kalman import Kalman, RawAngles, kalman
 from plants.indices import step_response
-from plants.kalman import Kalman, RawAngles, kalman
 from plants.loop import Controller, Loop, Run, Scenario
 from plants.sensors import AngleRateSuite
 

@@ -20,7 +20,7 @@ from jax import Array
 from jax.typing import ArrayLike
 from scipy.linalg import expm
 
-from plants import navigation, orbit, sensors
+from plants import orbit, sensors
 from plants.actuators import ReactionWheels
 from plants.checks import real
 from plants.disturbances import Disturbance, Drag, GravityGradient, ResidualDipole, SolarPressure
@@ -28,6 +28,7 @@ from plants.dynamics import attitude
 from plants.dynamics.rigidbody import BodyState, RigidBody, state_from
 from plants.environment import CircularEnvironment, Environment, sun_position
 from plants.errors import ScenarioError
+from plants.estimation import navigation
 from plants.linearize import LinearModel, linearize
 
 DEG = np.pi / 180

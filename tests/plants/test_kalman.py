@@ -9,7 +9,7 @@ import scipy.linalg as sla
 
 from plants import airbearing
 from plants.errors import ScenarioError, SingularityError
-from plants.kalman import kalman
+from plants.estimation.kalman import kalman
 from plants.loop import Loop
 from plants.sensors import AngleRate, AngleRateSuite
 from synth.controller import state_feedback

@@ -11,8 +11,8 @@ from scipy.linalg import expm, solve_discrete_are
 from plants import geo
 from plants.dynamics.relative import StationState
 from plants.errors import ScenarioError
+from plants.estimation.tracking import StationEkf, observability
 from plants.simulate import simulate_many
-from plants.tracking import StationEkf, observability
 
 DAY = 86400.0
 THREE = geo.tracking(geo.TRACKING_NOISE[:3])

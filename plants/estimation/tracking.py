@@ -23,7 +23,7 @@ from plants import blocks
 from plants.checks import positive, real
 from plants.dynamics.relative import EARTH_RATE, Sky, SkyEnv, Station, StationState
 from plants.errors import ScenarioError
-from plants.navigation import scalar_updates
+from plants.estimation.navigation import scalar_updates
 from plants.simulate import rk4
 
 SHOWS = ("radius", "radial rate", "latitude", "longitude")  # what the rows of a measurement come from
