@@ -17,13 +17,13 @@ from typing import NamedTuple
 import numpy as np
 from jax.typing import ArrayLike
 
-from plants.actuators import ReactionWheels
 from plants.checks import real, whole
 from plants.dynamics.eulerbody import EulerBody, EulerState, RandomTorque, check_pitch
 from plants.estimation.kalman import Kalman, RawAngles, kalman
+from plants.hardware.actuators import ReactionWheels
+from plants.hardware.sensors import AngleRateSuite
 from plants.indices import step_response
 from plants.loop import Controller, Loop, Run, Scenario
-from plants.sensors import AngleRateSuite
 
 DEG = np.pi / 180
 

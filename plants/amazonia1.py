@@ -22,13 +22,13 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from plants import blocks
-from plants.actuators import ReactionWheels
 from plants.campaign import draw
 from plants.checks import positive, real, whole
 from plants.dynamics import attitude
 from plants.dynamics.rigidbody import BodyState, RigidBody
 from plants.environment import FreeSpace, OrbitEnv
 from plants.errors import ScenarioError
+from plants.hardware.actuators import ReactionWheels
 from plants.indices import settling_time
 from plants.loop import Controller, Loop, Run, Scenario
 

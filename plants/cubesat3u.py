@@ -20,8 +20,7 @@ from jax import Array
 from jax.typing import ArrayLike
 from scipy.linalg import expm
 
-from plants import orbit, sensors
-from plants.actuators import ReactionWheels
+from plants import orbit
 from plants.checks import real
 from plants.disturbances import Disturbance, Drag, GravityGradient, ResidualDipole, SolarPressure
 from plants.dynamics import attitude
@@ -29,6 +28,8 @@ from plants.dynamics.rigidbody import BodyState, RigidBody, state_from
 from plants.environment import CircularEnvironment, Environment, sun_position
 from plants.errors import ScenarioError
 from plants.estimation import navigation
+from plants.hardware import sensors
+from plants.hardware.actuators import ReactionWheels
 from plants.linearize import LinearModel, linearize
 
 DEG = np.pi / 180

@@ -25,7 +25,7 @@ from plants.checks import Numbers, real
 from plants.dynamics.eulerbody import EulerBody, kinematics
 from plants.errors import ScenarioError
 from plants.estimation.navigation import scalar_updates
-from plants.sensors import AngleRate, AngleRateSuite
+from plants.hardware.sensors import AngleRate, AngleRateSuite
 
 
 class Last(NamedTuple):

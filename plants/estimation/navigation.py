@@ -22,7 +22,7 @@ from plants.checks import real
 from plants.dynamics import attitude
 from plants.dynamics.rigidbody import BodyState, RigidBody
 from plants.errors import ScenarioError
-from plants.sensors import AttitudeSuite, Measurement
+from plants.hardware.sensors import AttitudeSuite, Measurement
 
 PARALLEL = 1e-6  # () sine of the angle between two directions below which they fix no attitude
 

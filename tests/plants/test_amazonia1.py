@@ -8,10 +8,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from plants import amazonia1, campaign, simulate
-from plants.actuators import ReactionWheels
 from plants.amazonia1 import DEG, Start
 from plants.environment import FreeSpace
 from plants.errors import ScenarioError
+from plants.hardware.actuators import ReactionWheels
 from plants.loop import Run
 
 HERE = np.array([1.0, 0, 0, 0])

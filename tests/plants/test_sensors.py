@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from plants import sensors
 from plants.dynamics import attitude
 from plants.dynamics.rigidbody import BodyState
 from plants.environment import FreeSpace
 from plants.errors import ScenarioError
+from plants.hardware import sensors
 
 SHEET = {
     "sun_noise": 5e-3,

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from plants.errors import ScenarioError
-from plants.thrusters import PulsedThrusters, Thrusters
+from plants.hardware.thrusters import PulsedThrusters, Thrusters
 
 PULSED = PulsedThrusters.create(1000.0, 1.0, shortest=0.1, period=60.0)
 BIT = 1e-3 / 600  # m/s^2: 0.1 N s on 1000 kg, spread over 60 s
