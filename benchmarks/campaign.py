@@ -22,7 +22,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 
 import amazonia1 as study
 
-from plants import amazonia1, campaign
+from plants import campaign
+from plants.missions import amazonia1
 
 
 def case(start: Any, shared: Any) -> Any:

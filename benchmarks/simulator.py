@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from plants import campaign, cubesat3u, indices
+from plants import campaign, indices
+from plants.missions import cubesat3u
 from plants.simulate import Loop, Scenario, simulate
 
 

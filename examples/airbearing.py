@@ -1,7 +1,7 @@
 """Air-bearing simulator: LQR, SDRE and Kalman filter on large slews with noise, the claims of the paper measured.
 
 Counterparts of figures 2 to 6, the series of ever larger slews, torque limits, and what a 0.1 s hold makes of gains
-that were computed for continuous time. What the paper is, and how it was read: `plants.airbearing`.
+that were computed for continuous time. What the paper is, and how it was read: `plants.missions.airbearing`.
 """
 
 from __future__ import annotations
@@ -14,9 +14,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from plants import airbearing, blocks, campaign, figures, report, study
-from plants.airbearing import DEG, INERTIA, LARGE_ROLLS, PERIOD, TAIL, TARGET, TORQUE_LIMITS, Case, Outcome, Q, R
+from plants import blocks, campaign, figures, report, study
 from plants.loop import Loop, Run, Scenario
+from plants.missions import airbearing
+from plants.missions.airbearing import (
+    DEG,
+    INERTIA,
+    LARGE_ROLLS,
+    PERIOD,
+    TAIL,
+    TARGET,
+    TORQUE_LIMITS,
+    Case,
+    Outcome,
+    Q,
+    R,
+)
 from plants.study import Statement, Table, Verdict
 from synth.controller import state_feedback
 from synth.regulator import lqr, lqrd, sampled_cost

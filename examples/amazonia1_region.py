@@ -16,9 +16,10 @@ import numpy as np
 from amazonia1 import LQR, MRP, ROW, SDRE, Shared, case, controllers, measure, share
 from matplotlib.figure import Figure
 
-from plants import amazonia1, campaign, figures, report, simulate, study
-from plants.amazonia1 import DEG, PERIOD, RPM, Dispersion, Outcome
+from plants import campaign, figures, report, simulate, study
 from plants.indices import clopper_pearson
+from plants.missions import amazonia1
+from plants.missions.amazonia1 import DEG, PERIOD, RPM, Dispersion, Outcome
 from plants.study import Statement, Table, Verdict
 
 NAMES = (LQR, SDRE, MRP)

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from plants import cubesat3u, indices
+from plants import indices
 from plants.indices import Indices
+from plants.missions import cubesat3u
 from plants.study import Statement, Verdict, either
 
 DEG = cubesat3u.DEG

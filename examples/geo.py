@@ -16,9 +16,10 @@ import numpy as np
 from geo_claims import HOLD, PERTURBED, REACH, statements
 from geo_figures import sections
 
-from plants import geo, study
-from plants.geo import BOX, DAY, END, FORCE, MASS, OFFSET, SETTLE, WEAK_FORCE
+from plants import study
 from plants.loop import Run
+from plants.missions import geo
+from plants.missions.geo import BOX, DAY, END, FORCE, MASS, OFFSET, SETTLE, WEAK_FORCE
 from plants.report import Requirement
 from plants.simulate import simulate, simulate_many
 from plants.study import Table

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from plants import figures
-from plants.geo import DAY
+from plants.missions.geo import DAY
 from plants.report import BOUND, STYLE, Section
 from plants.study import drawings
 

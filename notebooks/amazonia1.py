@@ -28,7 +28,7 @@ sys.path.insert(0, str(root / "examples"))
 
 import amazonia1 as study
 
-from plants import amazonia1
+from plants.missions import amazonia1
 from plants.study import campaigns
 from synth import QuaternionModel, Sdre, SdreHinfStatic, quaternion_lqr
 

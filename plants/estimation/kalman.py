@@ -6,7 +6,7 @@ Predict and correct every h s, with the pseudo-linear model frozen at the estima
     K = P- C' (C P- C' + R)^-1,   x = x- + K (y - C x-),   P = (I - K C) P-
 
 u is the torque on the body, S the covariance of an unknown torque that is held for a sample. Reference: the paper of
-`plants.airbearing`, equations 15 to 17.
+`plants.missions.airbearing`, equations 15 to 17.
 
 Every navigator returns the estimate [angles; w; h], (9,) as `EulerBody.output`; wheel speeds are exact.
 """

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from plants import geo
 from plants.errors import ScenarioError
+from plants.missions import geo
 from plants.simulate import simulate
 
 

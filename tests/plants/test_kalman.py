@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
-from plants import airbearing
 from plants.errors import ScenarioError, SingularityError
 from plants.estimation.kalman import kalman
 from plants.hardware.sensors import AngleRate, AngleRateSuite
 from plants.loop import Loop
+from plants.missions import airbearing
 from synth.controller import state_feedback
 
 BODY, SENSORS = airbearing.BODY, airbearing.SENSORS

@@ -8,13 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from plants import cubesat3u, orbit
+from plants import orbit
 from plants.disturbances import GravityGradient
 from plants.dynamics import attitude
 from plants.dynamics.rigidbody import BodyState, RigidBody, state_from
 from plants.environment import CircularEnvironment, FreeSpace
 from plants.errors import ScenarioError
 from plants.linearize import linearize
+from plants.missions import cubesat3u
 
 ORBIT = orbit.circular(470e3, np.deg2rad(51.6), 2.0, 0.4)
 NADIR = CircularEnvironment.along(ORBIT)

@@ -9,12 +9,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from plants import cubesat3u
 from plants.dynamics import attitude
 from plants.dynamics.rigidbody import BodyState, state_from
 from plants.environment import FreeSpace
 from plants.errors import ScenarioError
 from plants.estimation import navigation
+from plants.missions import cubesat3u
 from plants.simulate import Loop, Scenario, simulate_many
 
 CLOSED_FORM = 5e-13  # the two solutions of Wahba's problem, vectors at least 3 deg apart

@@ -14,10 +14,11 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.special import lpmv
 
-from plants import geo, gravity, orbit
+from plants import gravity, orbit
 from plants.dynamics.relative import EARTH_RATE, Sky, Station
 from plants.errors import ScenarioError
 from plants.loop import Loop, Scenario
+from plants.missions import geo
 from plants.simulate import simulate_many
 
 EPOCH = datetime(2007, 6, 21)

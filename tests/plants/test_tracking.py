@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_are
 
-from plants import geo
 from plants.dynamics.relative import StationState
 from plants.errors import ScenarioError
 from plants.estimation.tracking import StationEkf, observability
+from plants.missions import geo
 from plants.simulate import simulate_many
 
 DAY = 86400.0

@@ -9,8 +9,8 @@ import scipy.linalg as sla
 from browser import check, needs_chromium
 from studyrun import run
 
-from plants import airbearing
-from plants.airbearing import DEG
+from plants.missions import airbearing
+from plants.missions.airbearing import DEG
 from synth.regulator import lqrd, sampled_cost
 
 pytestmark = pytest.mark.slow

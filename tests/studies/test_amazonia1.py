@@ -10,7 +10,8 @@ import pytest
 from browser import check, needs_chromium
 from studyrun import run
 
-from plants import amazonia1, campaign
+from plants import campaign
+from plants.missions import amazonia1
 
 pytestmark = pytest.mark.slow
 

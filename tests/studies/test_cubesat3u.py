@@ -10,7 +10,8 @@ from browser import check, needs_chromium
 from cubesat3u_claims import growth
 from studyrun import run
 
-from plants import campaign, cubesat3u
+from plants import campaign
+from plants.missions import cubesat3u
 from synth import Design
 from synth.errors import ModelError
 

@@ -10,7 +10,7 @@ from browser import check, needs_chromium
 from geo_claims import HINF_TOTAL, HOLD, PERTURBED, REACH, TOTAL
 from studyrun import run
 
-from plants import geo
+from plants.missions import geo
 
 pytestmark = pytest.mark.slow
 
