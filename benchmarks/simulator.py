@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from plants import campaign, indices
+from plants import campaign
 from plants.missions import cubesat3u
+from plants.outcome import indices
 from plants.simulate import Loop, Scenario, simulate
 
 

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from plants import blocks, campaign, figures, report, study
+from plants import blocks, campaign
 from plants.loop import Loop, Run, Scenario
 from plants.missions import airbearing
 from plants.missions.airbearing import (
@@ -30,7 +30,8 @@ from plants.missions.airbearing import (
     Q,
     R,
 )
-from plants.study import Statement, Table, Verdict
+from plants.outcome import figures, report, study
+from plants.outcome.study import Statement, Table, Verdict
 from synth.controller import state_feedback
 from synth.regulator import lqr, lqrd, sampled_cost
 from synth.sdc import EulerModel

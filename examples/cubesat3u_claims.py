@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from plants import indices
-from plants.indices import Indices
 from plants.missions import cubesat3u
-from plants.study import Statement, Verdict, either
+from plants.outcome import indices
+from plants.outcome.indices import Indices
+from plants.outcome.study import Statement, Verdict, either
 
 DEG = cubesat3u.DEG
 BOUND = cubesat3u.REQUIREMENTS  # table 1

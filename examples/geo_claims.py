@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import geo_controllers as design
 import numpy as np
 
-from plants.study import Statement, Verdict
+from plants.outcome.study import Statement, Verdict
 from synth.errors import AssumptionError
 from synth.mixedsensitivity import mixsyn
 

@@ -10,10 +10,10 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from plants import figures
 from plants.missions.geo import DAY
-from plants.report import BOUND, STYLE, Section
-from plants.study import drawings
+from plants.outcome import figures
+from plants.outcome.report import BOUND, STYLE, Section
+from plants.outcome.study import drawings
 
 if TYPE_CHECKING:
     from geo import Flight, Study

@@ -27,9 +27,9 @@ sys.path.insert(0, str(root / "examples"))
 
 import airbearing as study
 
-from plants import report
 from plants.missions import airbearing
 from plants.missions.airbearing import DEG, INERTIA, PERIOD, TARGET, Q, R
+from plants.outcome import report
 from plants.simulate import simulate, simulate_many
 from synth.regulator import lqr, lqrd, sampled_cost
 from synth.sdc import EulerModel

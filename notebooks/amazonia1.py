@@ -29,7 +29,7 @@ sys.path.insert(0, str(root / "examples"))
 import amazonia1 as study
 
 from plants.missions import amazonia1
-from plants.study import campaigns
+from plants.outcome.study import campaigns
 from synth import QuaternionModel, Sdre, SdreHinfStatic, quaternion_lqr
 
 RUNS = 3  # random attitudes, rates and inertias

@@ -30,9 +30,9 @@ sys.path.insert(0, str(root / "examples"))
 import cubesat3u as study
 from cubesat3u_claims import BOUNDS, INDICES, worst
 
-from plants import indices, report
 from plants.missions import cubesat3u
-from plants.study import campaigns
+from plants.outcome import indices, report
+from plants.outcome.study import campaigns
 from synth import LinearController, StateSpace, proportional_derivative, series, sigma_plot
 
 RUNS = 3  # dispersed starts beside that of table 3

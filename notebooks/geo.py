@@ -29,8 +29,8 @@ sys.path.insert(0, str(root / "examples"))
 import geo as study
 import geo_controllers as design
 
-from plants import report
 from plants.missions import geo
+from plants.outcome import report
 from plants.simulate import simulate_many
 from synth import AssumptionError, StateSpace, feedback, series, sigma_plot
 

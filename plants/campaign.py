@@ -53,8 +53,8 @@ class Campaign:
         return "\n".join(lines if self.ok.all() else [*lines, "failed in: " + ", ".join(blamed)])
 
     def plot(self, ax: Any = None, **options: Any) -> np.ndarray:
-        """The distribution of every result over the runs; see `plants.plots.campaign_plot`."""
-        from plants.plots import campaign_plot
+        """The distribution of every result over the runs; see `plants.outcome.plots.campaign_plot`."""
+        from plants.outcome.plots import campaign_plot
 
         return campaign_plot(self, ax, **options)
 

@@ -170,8 +170,8 @@ class Run:
     memory: Any = None  # the controller's state at the end: its counters, for example
 
     def plot(self, ax: Any = None, **options: Any) -> np.ndarray:
-        """Outputs with their reference, and commands, against time; see `plants.plots.run_plot`."""
-        from plants.plots import run_plot
+        """Outputs with their reference, and commands, against time; see `plants.outcome.plots.run_plot`."""
+        from plants.outcome.plots import run_plot
 
         return run_plot(self, ax, **options)
 

@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from plants.report import Claim
-from plants.study import judged
+from plants.outcome.report import Claim
+from plants.outcome.study import judged
 
 
 class Flown(NamedTuple):

@@ -29,8 +29,8 @@ from plants.dynamics.rigidbody import BodyState, RigidBody
 from plants.environment import FreeSpace, OrbitEnv
 from plants.errors import ScenarioError
 from plants.hardware.actuators import ReactionWheels
-from plants.indices import settling_time
 from plants.loop import Controller, Loop, Run, Scenario
+from plants.outcome.indices import settling_time
 
 DEG = np.pi / 180
 RPM = 2 * np.pi / 60

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from plants import figures
+from plants.outcome import figures
 
 
 def test_histories_differ_by_more_than_colour():

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import binomtest
 
-from plants import indices
 from plants.errors import ScenarioError
+from plants.outcome import indices
 from plants.simulate import Run
 
 ROUNDING = 1e-12  # trigonometry there and back

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from browser import CHROMIUM, FLAGS, check, needs_chromium
 
-from plants import figures, report
-from plants.report import Card, Claim, Html, Requirement, Section
+from plants.outcome import figures, report
+from plants.outcome.report import Card, Claim, Html, Requirement, Section
 
 LONG = "a sentence that goes on, as verdicts do, with figures 0.1234 and names that are long: " * 3
 REQUIREMENTS = [
@@ -88,7 +88,7 @@ def test_pages_are_reproducible_and_fetch_nothing():
 
 def test_series_are_seen_on_light_and_dark_cards():
     """Contrast of graphical objects is at least 3 (WCAG 2.2, 1.4.11)."""
-    from plants.page_style import DARK, LIGHT
+    from plants.outcome.page_style import DARK, LIGHT
 
     def luminance(colour: str) -> float:
         v = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255

@@ -6,8 +6,8 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from plants import report, study
-from plants.study import Statement, Study, Table
+from plants.outcome import report, study
+from plants.outcome.study import Statement, Study, Table
 
 
 def conclude(found: Study, out: Any, statements: list[Statement], **more: Any) -> int:

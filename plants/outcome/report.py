@@ -20,7 +20,7 @@ import numpy as np
 from cycler import cycler
 from matplotlib.figure import Figure
 
-from plants.page_style import CSS
+from plants.outcome.page_style import CSS
 
 INK = "#010203"  # stands for the page's text colour while a figure is drawn
 COLOURS = ("#2b7fc3", "#c9660c", "#2b8f4b", "#c2459b", "#8467d0", "#8c7718", "#7a7a7a")

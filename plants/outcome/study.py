@@ -24,7 +24,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from plants import campaign, report
+from plants import campaign
+from plants.outcome import report
 
 FILES = {"json": "with its plant, every bit", "mat": "for MATLAB and Octave"}  # that a design writes
 PACKAGES = ("convex-synth", "jax", "numpy", "scipy")  # named at the foot of every page

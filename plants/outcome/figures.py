@@ -11,8 +11,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from plants.indices import clopper_pearson
-from plants.report import BOUND, COLOURS, STYLE
+from plants.outcome.indices import clopper_pearson
+from plants.outcome.report import BOUND, COLOURS, STYLE
 
 Series = Mapping[str, tuple[np.ndarray, np.ndarray]]  # name -> time (N,) s, values (N, k)
 DASHES = ("-", "--", "-.", ":")  # histories that coincide are told apart, also without colours

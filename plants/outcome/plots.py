@@ -1,6 +1,6 @@
 """Pictures of a run and of a campaign for people who look rather than read.
 
-They are drawn on the caller's axes, or on new ones, in the caller's style; `plants.figures` has those of the reports.
+They are drawn on the caller's axes, or on new ones, in the caller's style; `plants.outcome.figures` has those of the reports.
 """
 
 from __future__ import annotations
