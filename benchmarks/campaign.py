@@ -22,8 +22,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 
 import amazonia1 as study
 
-from plants import campaign
 from plants.missions import amazonia1
+from plants.simulation import campaign
 
 
 def case(start: Any, shared: Any) -> Any:

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from plants import campaign
 from plants.missions import cubesat3u
 from plants.outcome import indices
-from plants.simulate import Loop, Scenario, simulate
+from plants.simulation import campaign
+from plants.simulation.simulate import Loop, Scenario, simulate
 
 
 @dataclass(frozen=True)

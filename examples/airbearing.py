@@ -14,8 +14,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from plants import blocks, campaign
-from plants.loop import Loop, Run, Scenario
 from plants.missions import airbearing
 from plants.missions.airbearing import (
     DEG,
@@ -32,6 +30,8 @@ from plants.missions.airbearing import (
 )
 from plants.outcome import figures, report, study
 from plants.outcome.study import Statement, Table, Verdict
+from plants.simulation import blocks, campaign
+from plants.simulation.loop import Loop, Run, Scenario
 from synth.controller import state_feedback
 from synth.regulator import lqr, lqrd, sampled_cost
 from synth.sdc import EulerModel

@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from plants import campaign
-from plants.loop import Loop, Scenario
 from plants.missions import amazonia1
 from plants.missions.amazonia1 import DEG, PERIOD, Outcome, Start
 from plants.outcome import figures, report, study
 from plants.outcome.indices import clopper_pearson
 from plants.outcome.study import Statement, Table, Verdict
+from plants.simulation import campaign
+from plants.simulation.loop import Loop, Scenario
 from synth.quaternion import quaternion_lqr, quaternion_pd, quaternion_pid
 from synth.sdc import MrpModel, QuaternionModel
 from synth.sdre import Sdre, SdreHinf, SdreHinfPaperLiteral, SdreHinfStatic

@@ -16,12 +16,12 @@ import numpy as np
 from amazonia1 import LQR, MRP, ROW, SDRE, Shared, case, controllers, measure, share
 from matplotlib.figure import Figure
 
-from plants import campaign, simulate
 from plants.missions import amazonia1
 from plants.missions.amazonia1 import DEG, PERIOD, RPM, Dispersion, Outcome
 from plants.outcome import figures, report, study
 from plants.outcome.indices import clopper_pearson
 from plants.outcome.study import Statement, Table, Verdict
+from plants.simulation import campaign, simulate
 
 NAMES = (LQR, SDRE, MRP)
 PAPER = (LQR, SDRE)

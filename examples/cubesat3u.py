@@ -33,14 +33,14 @@ from cubesat3u_figures import drawings, indices_figure
 from tqdm import tqdm
 
 import synth
-from plants import campaign, simulate
 from plants.dynamics import attitude
-from plants.loop import Loop, Run, Scenario
 from plants.missions import cubesat3u
 from plants.missions.cubesat3u import DEG, REQUIREMENTS
 from plants.outcome import indices, report, study
 from plants.outcome.indices import Indices
 from plants.outcome.study import Table
+from plants.simulation import campaign, simulate
+from plants.simulation.loop import Loop, Run, Scenario
 from synth.export.qp import save_mpc
 
 

@@ -8,10 +8,10 @@ import numpy as np
 from cubesat3u_claims import AXES, BOUNDS, HINF, INDICES, PAPER, worst
 from matplotlib.figure import Figure
 
-from plants.loop import Run
 from plants.missions import cubesat3u
 from plants.missions.cubesat3u import DEG, REQUIREMENTS
 from plants.outcome import figures, indices, report, study
+from plants.simulation.loop import Run
 
 
 def indices_figure(found: Any) -> Figure:

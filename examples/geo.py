@@ -16,13 +16,13 @@ import numpy as np
 from geo_claims import HOLD, PERTURBED, REACH, statements
 from geo_figures import sections
 
-from plants.loop import Run
 from plants.missions import geo
 from plants.missions.geo import BOX, DAY, END, FORCE, MASS, OFFSET, SETTLE, WEAK_FORCE
 from plants.outcome import study
 from plants.outcome.report import Requirement
 from plants.outcome.study import Table
-from plants.simulate import simulate, simulate_many
+from plants.simulation.loop import Run
+from plants.simulation.simulate import simulate, simulate_many
 from synth.design import Design
 from synth.fuel import FuelMpc, MinimumFuel, free_motion, fuel_mpc, minimum_fuel
 from synth.statespace import c2d

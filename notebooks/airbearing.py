@@ -30,7 +30,7 @@ import airbearing as study
 from plants.missions import airbearing
 from plants.missions.airbearing import DEG, INERTIA, PERIOD, TARGET, Q, R
 from plants.outcome import report
-from plants.simulate import simulate, simulate_many
+from plants.simulation.simulate import simulate, simulate_many
 from synth.regulator import lqr, lqrd, sampled_cost
 from synth.sdc import EulerModel
 from synth.sdre import SdreSampled

@@ -31,7 +31,7 @@ import geo_controllers as design
 
 from plants.missions import geo
 from plants.outcome import report
-from plants.simulate import simulate_many
+from plants.simulation.simulate import simulate_many
 from synth import AssumptionError, StateSpace, feedback, series, sigma_plot
 
 # %% [markdown]

@@ -15,12 +15,12 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from plants import blocks
 from plants.checks import Numbers, positive
 from plants.disturbances import SOLAR_PRESSURE
 from plants.dynamics.attitude import cross, dot
 from plants.environment import visible_fraction
 from plants.orbit import EARTH_RADIUS, MU
+from plants.simulation import blocks
 
 MU_MOON = 4.902800e12  # () m^3/s^2  IERS Conventions (2010), table 1.1: the Earth's times 0.0123000371
 MU_SUN = 1.32712442099e20  # () m^3/s^2  IERS Conventions (2010), table 1.1

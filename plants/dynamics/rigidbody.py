@@ -19,12 +19,12 @@ from jax import Array
 from jax.core import Tracer
 from jax.typing import ArrayLike
 
-from plants import blocks
 from plants.checks import Numbers, real
 from plants.disturbances import Disturbance, seen_from
 from plants.dynamics import attitude
 from plants.environment import OrbitEnv
 from plants.errors import ScenarioError
+from plants.simulation import blocks
 
 
 class BodyState(NamedTuple):

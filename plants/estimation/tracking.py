@@ -19,12 +19,12 @@ from jax.typing import ArrayLike
 from numpy.typing import ArrayLike as Numbers
 from scipy.linalg import expm
 
-from plants import blocks
 from plants.checks import positive, real
 from plants.dynamics.relative import EARTH_RATE, Sky, SkyEnv, Station, StationState
 from plants.errors import ScenarioError
 from plants.estimation.navigation import scalar_updates
-from plants.simulate import rk4
+from plants.simulation import blocks
+from plants.simulation.simulate import rk4
 
 SHOWS = ("radius", "radial rate", "latitude", "longitude")  # what the rows of a measurement come from
 AXES = ("x (radial)", "y (east)", "z (north)", "x'", "y'", "z'")

@@ -1,6 +1,6 @@
 """Actuators: from the torque a controller asks for to the torque the motors give.
 
-A delay between command and action belongs to the loop (`plants.simulate.Loop.delay`), not to the wheels.
+A delay between command and action belongs to the loop (`plants.simulation.simulate.Loop.delay`), not to the wheels.
 """
 
 from dataclasses import dataclass
@@ -11,10 +11,10 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from plants import blocks
 from plants.checks import Numbers, real
 from plants.dynamics.rigidbody import BodyState
 from plants.errors import ScenarioError
+from plants.simulation import blocks
 
 
 @partial(

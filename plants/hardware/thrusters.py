@@ -12,8 +12,8 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from plants import blocks
 from plants.checks import Numbers, positive, whole
+from plants.simulation import blocks
 
 
 @partial(blocks.node, data_fields=["limit"], meta_fields=[])

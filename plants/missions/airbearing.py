@@ -22,8 +22,8 @@ from plants.dynamics.eulerbody import EulerBody, EulerState, RandomTorque, check
 from plants.estimation.kalman import Kalman, RawAngles, kalman
 from plants.hardware.actuators import ReactionWheels
 from plants.hardware.sensors import AngleRateSuite
-from plants.loop import Controller, Loop, Run, Scenario
 from plants.outcome.indices import step_response
+from plants.simulation.loop import Controller, Loop, Run, Scenario
 
 DEG = np.pi / 180
 

@@ -30,7 +30,7 @@ from plants.errors import ScenarioError
 from plants.estimation import navigation
 from plants.hardware import sensors
 from plants.hardware.actuators import ReactionWheels
-from plants.linearize import LinearModel, linearize
+from plants.simulation.linearize import LinearModel, linearize
 
 DEG = np.pi / 180
 

@@ -22,9 +22,9 @@ from plants.dynamics.relative import EARTH_RATE, Sky, Station, StationState
 from plants.errors import ScenarioError
 from plants.estimation.tracking import StateSensor, StationEkf, Tracking, Unfiltered, station_ekf
 from plants.hardware.thrusters import PulsedThrusters, Thrusters
-from plants.linearize import LinearModel, linearize
-from plants.loop import Loop, Run, Scenario
 from plants.outcome.indices import settling_time
+from plants.simulation.linearize import LinearModel, linearize
+from plants.simulation.loop import Loop, Run, Scenario
 
 DAY = 86400.0  # () s
 MASS = 1000.0  # () kg, ours

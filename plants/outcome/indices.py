@@ -22,10 +22,10 @@ from jax import Array
 from jax.typing import ArrayLike
 from scipy.stats import beta
 
-from plants import blocks
 from plants.dynamics import attitude
 from plants.errors import ScenarioError
-from plants.loop import Run
+from plants.simulation import blocks
+from plants.simulation.loop import Run
 
 STATIC = {"static": True}  # settings: the same for all runs that are put together
 

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from plants import blocks
 from plants.errors import ScenarioError
+from plants.simulation import blocks
 
 if TYPE_CHECKING:
-    from plants.campaign import Campaign
-    from plants.loop import Run
+    from plants.simulation.campaign import Campaign
+    from plants.simulation.loop import Run
 
 COLUMNS = 3  # axes side by side in the picture of a campaign
 

@@ -24,8 +24,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from plants import campaign
 from plants.outcome import report
+from plants.simulation import campaign
 
 FILES = {"json": "with its plant, every bit", "mat": "for MATLAB and Octave"}  # that a design writes
 PACKAGES = ("convex-synth", "jax", "numpy", "scipy")  # named at the foot of every page

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from plants import campaign, simulate
 from plants.errors import ScenarioError
-from plants.simulate import Loop, Scenario
+from plants.simulation import campaign, simulate
+from plants.simulation.simulate import Loop, Scenario
 
 ROUNDING = 1e-12  # batches of different widths may be added up in another order
 

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from plants.dynamics import attitude
 from plants.dynamics.eulerbody import EulerBody, EulerState, RandomTorque, TorqueEnv, check_pitch, kinematics
 from plants.errors import ScenarioError, SingularityError
-from plants.linearize import linearize
-from plants.simulate import Loop, Scenario, simulate_many
+from plants.simulation.linearize import linearize
+from plants.simulation.simulate import Loop, Scenario, simulate_many
 
 INERTIA = np.array([[1.17, 0.02, -0.01], [0.02, 1.3, 0.03], [-0.01, 0.03, 0.9]])  # kg m^2, no symmetry
 WHEELS = np.array([0.0018, 0.002, 0.0015])  # kg m^2

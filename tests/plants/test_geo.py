@@ -7,7 +7,7 @@ import pytest
 
 from plants.errors import ScenarioError
 from plants.missions import geo
-from plants.simulate import simulate
+from plants.simulation.simulate import simulate
 
 
 @dataclass(frozen=True)

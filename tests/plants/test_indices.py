@@ -9,7 +9,7 @@ from scipy.stats import binomtest
 
 from plants.errors import ScenarioError
 from plants.outcome import indices
-from plants.simulate import Run
+from plants.simulation.simulate import Run
 
 ROUNDING = 1e-12  # trigonometry there and back
 

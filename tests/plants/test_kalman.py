@@ -10,8 +10,8 @@ import scipy.linalg as sla
 from plants.errors import ScenarioError, SingularityError
 from plants.estimation.kalman import kalman
 from plants.hardware.sensors import AngleRate, AngleRateSuite
-from plants.loop import Loop
 from plants.missions import airbearing
+from plants.simulation.loop import Loop
 from synth.controller import state_feedback
 
 BODY, SENSORS = airbearing.BODY, airbearing.SENSORS

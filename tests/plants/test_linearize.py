@@ -14,8 +14,8 @@ from plants.dynamics import attitude
 from plants.dynamics.rigidbody import BodyState, RigidBody, state_from
 from plants.environment import CircularEnvironment, FreeSpace
 from plants.errors import ScenarioError
-from plants.linearize import linearize
 from plants.missions import cubesat3u
+from plants.simulation.linearize import linearize
 
 ORBIT = orbit.circular(470e3, np.deg2rad(51.6), 2.0, 0.4)
 NADIR = CircularEnvironment.along(ORBIT)

@@ -15,7 +15,7 @@ from plants.environment import FreeSpace
 from plants.errors import ScenarioError
 from plants.estimation import navigation
 from plants.missions import cubesat3u
-from plants.simulate import Loop, Scenario, simulate_many
+from plants.simulation.simulate import Loop, Scenario, simulate_many
 
 CLOSED_FORM = 5e-13  # the two solutions of Wahba's problem, vectors at least 3 deg apart
 

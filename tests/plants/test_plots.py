@@ -8,9 +8,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from plants.campaign import Campaign
 from plants.errors import ScenarioError
-from plants.loop import Run
+from plants.simulation.campaign import Campaign
+from plants.simulation.loop import Run
 
 
 class Outcome(NamedTuple):

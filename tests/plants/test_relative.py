@@ -17,9 +17,9 @@ from scipy.special import lpmv
 from plants import gravity, orbit
 from plants.dynamics.relative import EARTH_RATE, Sky, Station
 from plants.errors import ScenarioError
-from plants.loop import Loop, Scenario
 from plants.missions import geo
-from plants.simulate import simulate_many
+from plants.simulation.loop import Loop, Scenario
+from plants.simulation.simulate import simulate_many
 
 EPOCH = datetime(2007, 6, 21)
 DAY = 86400.0

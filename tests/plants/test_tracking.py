@@ -12,7 +12,7 @@ from plants.dynamics.relative import StationState
 from plants.errors import ScenarioError
 from plants.estimation.tracking import StationEkf, observability
 from plants.missions import geo
-from plants.simulate import simulate_many
+from plants.simulation.simulate import simulate_many
 
 DAY = 86400.0
 THREE = geo.tracking(geo.TRACKING_NOISE[:3])

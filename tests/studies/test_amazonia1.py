@@ -10,8 +10,8 @@ import pytest
 from browser import check, needs_chromium
 from studyrun import run
 
-from plants import campaign
 from plants.missions import amazonia1
+from plants.simulation import campaign
 
 pytestmark = pytest.mark.slow
 

@@ -10,8 +10,8 @@ from browser import check, needs_chromium
 from cubesat3u_claims import growth
 from studyrun import run
 
-from plants import campaign
 from plants.missions import cubesat3u
+from plants.simulation import campaign
 from synth import Design
 from synth.errors import ModelError
 

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from plants import blocks
 from plants.errors import ScenarioError
+from plants.simulation import blocks
 
 
 class Plant(Protocol):

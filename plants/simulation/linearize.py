@@ -17,10 +17,10 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 
-from plants import blocks
 from plants.checks import real
 from plants.errors import ScenarioError
-from plants.loop import Environment, Plant
+from plants.simulation import blocks
+from plants.simulation.loop import Environment, Plant
 
 RANK_TOLERANCE = 1e-9  # ()  relative to the largest singular value
 

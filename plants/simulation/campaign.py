@@ -18,9 +18,9 @@ import jax
 import numpy as np
 from tqdm import tqdm
 
-from plants import blocks, simulate
 from plants.errors import ScenarioError
-from plants.loop import Loop, Run, Scenario, check_numbers
+from plants.simulation import blocks, simulate
+from plants.simulation.loop import Loop, Run, Scenario, check_numbers
 
 LANES = 256  # runs in a batch at most; beyond it a batch gains nothing
 SAMPLE = 8  # runs looked at before the first batch, to see which numbers vary

@@ -23,18 +23,18 @@ import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
-from plants import blocks
 from plants.errors import ScenarioError
-from plants.loop import Actuator as Actuator
-from plants.loop import Controller as Controller
-from plants.loop import Environment as Environment
-from plants.loop import Loop as Loop
-from plants.loop import Navigator as Navigator
-from plants.loop import Plant as Plant
-from plants.loop import Run as Run
-from plants.loop import Scenario as Scenario
-from plants.loop import Sensors as Sensors
-from plants.loop import check, check_numbers, env_at, output_shape, reference_at
+from plants.simulation import blocks
+from plants.simulation.loop import Actuator as Actuator
+from plants.simulation.loop import Controller as Controller
+from plants.simulation.loop import Environment as Environment
+from plants.simulation.loop import Loop as Loop
+from plants.simulation.loop import Navigator as Navigator
+from plants.simulation.loop import Plant as Plant
+from plants.simulation.loop import Run as Run
+from plants.simulation.loop import Scenario as Scenario
+from plants.simulation.loop import Sensors as Sensors
+from plants.simulation.loop import check, check_numbers, env_at, output_shape, reference_at
 
 CULPRITS = ("", "controller", "plant", "navigator")
 
