@@ -22,12 +22,12 @@ from jax import Array
 from jax.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-from plants import gravity
 from plants.checks import Numbers, positive, real
 from plants.dynamics.attitude import cross
-from plants.environment import julian, sun_position
-from plants.gravity import Harmonics
 from plants.simulation import blocks
+from plants.surroundings import gravity
+from plants.surroundings.environment import julian, sun_position
+from plants.surroundings.gravity import Harmonics
 
 EARTH_RATE = 2 * np.pi * 1.00273781191135448 / 86400  # () rad/s  of the Earth rotation angle, IERS (2010), eq. 5.15
 STEP = 3600.0  # () s, of the table: Moon and Sun within 0.1 m

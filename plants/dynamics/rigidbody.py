@@ -20,11 +20,11 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from plants.checks import Numbers, real
-from plants.disturbances import Disturbance, seen_from
 from plants.dynamics import attitude
-from plants.environment import OrbitEnv
 from plants.errors import ScenarioError
 from plants.simulation import blocks
+from plants.surroundings.disturbances import Disturbance, seen_from
+from plants.surroundings.environment import OrbitEnv
 
 
 class BodyState(NamedTuple):
@@ -70,7 +70,7 @@ class RigidBody:
         inertia : (3, 3) kg m^2, with the wheels at rest relative to the body
         wheel_axes : (3, n) unit columns; without wheels the input is an external torque
         wheel_inertia : (n,) kg m^2
-        disturbances : see `plants.disturbances`
+        disturbances : see `plants.surroundings.disturbances`
 
         Raises
         ------

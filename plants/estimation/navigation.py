@@ -4,7 +4,7 @@ References: Markley and Crassidis (2014), Fundamentals of Spacecraft Attitude De
 chapters 5 and 6; Markley (2002), Fast quaternion attitude estimation from two vector measurements;
 Pecorilla and Stesina (2024), section 2.2, whose eq. 8 are the nine states of the filter.
 
-Frame O is the frame of reference (orbital, see `plants.environment`), B the body. Every navigator returns the
+Frame O is the frame of reference (orbital, see `plants.surroundings.environment`), B the body. Every navigator returns the
 estimate [vector part of q_OB with scalar part >= 0; w_OB in body axes (rad/s)], (6,).
 """
 

@@ -24,13 +24,13 @@ from jax.typing import ArrayLike
 from plants.checks import positive, real, whole
 from plants.dynamics import attitude
 from plants.dynamics.rigidbody import BodyState, RigidBody
-from plants.environment import FreeSpace, OrbitEnv
 from plants.errors import ScenarioError
 from plants.hardware.actuators import ReactionWheels
 from plants.outcome.indices import settling_time
 from plants.simulation import blocks
 from plants.simulation.campaign import draw
 from plants.simulation.loop import Controller, Loop, Run, Scenario
+from plants.surroundings.environment import FreeSpace, OrbitEnv
 
 DEG = np.pi / 180
 RPM = 2 * np.pi / 60

@@ -20,17 +20,17 @@ from jax import Array
 from jax.typing import ArrayLike
 from scipy.linalg import expm
 
-from plants import orbit
 from plants.checks import real
-from plants.disturbances import Disturbance, Drag, GravityGradient, ResidualDipole, SolarPressure
 from plants.dynamics import attitude
 from plants.dynamics.rigidbody import BodyState, RigidBody, state_from
-from plants.environment import CircularEnvironment, Environment, sun_position
 from plants.errors import ScenarioError
 from plants.estimation import navigation
 from plants.hardware import sensors
 from plants.hardware.actuators import ReactionWheels
 from plants.simulation.linearize import LinearModel, linearize
+from plants.surroundings import orbit
+from plants.surroundings.disturbances import Disturbance, Drag, GravityGradient, ResidualDipole, SolarPressure
+from plants.surroundings.environment import CircularEnvironment, Environment, sun_position
 
 DEG = np.pi / 180
 

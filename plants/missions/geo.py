@@ -16,7 +16,6 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from plants import gravity
 from plants.checks import real, whole
 from plants.dynamics.relative import EARTH_RATE, Sky, Station, StationState
 from plants.errors import ScenarioError
@@ -25,6 +24,7 @@ from plants.hardware.thrusters import PulsedThrusters, Thrusters
 from plants.outcome.indices import settling_time
 from plants.simulation.linearize import LinearModel, linearize
 from plants.simulation.loop import Loop, Run, Scenario
+from plants.surroundings import gravity
 
 DAY = 86400.0  # () s
 MASS = 1000.0  # () kg, ours

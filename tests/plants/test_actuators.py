@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from plants.dynamics.rigidbody import BodyState, RigidBody
-from plants.environment import FreeSpace
 from plants.errors import ScenarioError
 from plants.hardware.actuators import ReactionWheels
+from plants.surroundings.environment import FreeSpace
 
 PYRAMID = np.array([[1, -1, 0, 0], [0, 0, 1, -1], [1, 1, 1, 1]]) / np.sqrt(2)
 

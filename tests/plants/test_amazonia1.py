@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from plants.environment import FreeSpace
 from plants.errors import ScenarioError
 from plants.hardware.actuators import ReactionWheels
 from plants.missions import amazonia1
 from plants.missions.amazonia1 import DEG, Start
 from plants.simulation import campaign, simulate
 from plants.simulation.loop import Run
+from plants.surroundings.environment import FreeSpace
 
 HERE = np.array([1.0, 0, 0, 0])
 

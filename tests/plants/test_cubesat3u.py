@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
-from plants.disturbances import seen_from
 from plants.dynamics import attitude
 from plants.errors import ScenarioError
 from plants.missions import cubesat3u
+from plants.surroundings.disturbances import seen_from
 
 
 @pytest.fixture(autouse=True)

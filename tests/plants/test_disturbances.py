@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from plants.disturbances import (
+from plants.errors import ScenarioError
+from plants.surroundings.disturbances import (
     EARTH_RATE,
     SOLAR_PRESSURE,
     ConstantTorque,
@@ -16,9 +17,8 @@ from plants.disturbances import (
     SolarPressure,
     seen_from,
 )
-from plants.environment import OrbitEnv
-from plants.errors import ScenarioError
-from plants.orbit import MU
+from plants.surroundings.environment import OrbitEnv
+from plants.surroundings.orbit import MU
 
 SIZE, OFFSET = np.array([0.1, 0.2, 0.34]), np.array([0.005, -0.004, 0.02])
 RANDOM = np.random.default_rng(3)

@@ -8,10 +8,10 @@ import numpy as np
 import ppigrf
 import pytest
 
-from plants import environment, orbit
 from plants.dynamics import attitude
-from plants.environment import Atmosphere, CircularEnvironment, Environment, FreeSpace
 from plants.errors import ScenarioError
+from plants.surroundings import environment, orbit
+from plants.surroundings.environment import Atmosphere, CircularEnvironment, Environment, FreeSpace
 
 EPOCH = datetime(2024, 3, 20, 9)
 LOW = orbit.circular(470e3, np.deg2rad(51.6), 2.0, 0.4)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.special import lpmv
 
-from plants import gravity, orbit
 from plants.errors import ScenarioError
-from plants.gravity import EGM96, OBLATE, SPHERE
+from plants.surroundings import gravity, orbit
+from plants.surroundings.gravity import EGM96, OBLATE, SPHERE
 
 POINTS = np.array([[4.2e7, 1e6, -2e6], [-1.1e7, 3e7, 2.5e7], [0.3e7, -0.2e7, -4e7]])  # m
 

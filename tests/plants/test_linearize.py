@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from plants import orbit
-from plants.disturbances import GravityGradient
 from plants.dynamics import attitude
 from plants.dynamics.rigidbody import BodyState, RigidBody, state_from
-from plants.environment import CircularEnvironment, FreeSpace
 from plants.errors import ScenarioError
 from plants.missions import cubesat3u
 from plants.simulation.linearize import linearize
+from plants.surroundings import orbit
+from plants.surroundings.disturbances import GravityGradient
+from plants.surroundings.environment import CircularEnvironment, FreeSpace
 
 ORBIT = orbit.circular(470e3, np.deg2rad(51.6), 2.0, 0.4)
 NADIR = CircularEnvironment.along(ORBIT)

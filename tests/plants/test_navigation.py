@@ -11,11 +11,11 @@ from scipy.stats import chi2
 
 from plants.dynamics import attitude
 from plants.dynamics.rigidbody import BodyState, state_from
-from plants.environment import FreeSpace
 from plants.errors import ScenarioError
 from plants.estimation import navigation
 from plants.missions import cubesat3u
 from plants.simulation.simulate import Loop, Scenario, simulate_many
+from plants.surroundings.environment import FreeSpace
 
 CLOSED_FORM = 5e-13  # the two solutions of Wahba's problem, vectors at least 3 deg apart
 

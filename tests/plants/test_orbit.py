@@ -6,10 +6,10 @@ import jax
 import numpy as np
 import pytest
 
-from plants import orbit
 from plants.dynamics import attitude
 from plants.errors import ScenarioError
-from plants.orbit import J2, MU, Orbit
+from plants.surroundings import orbit
+from plants.surroundings.orbit import J2, MU, Orbit
 
 DATA = Path(__file__).parent.parent / "data"
 LOW = orbit.circular(470e3, np.deg2rad(51.6), 2.0, 0.4)

@@ -14,12 +14,12 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.special import lpmv
 
-from plants import gravity, orbit
 from plants.dynamics.relative import EARTH_RATE, Sky, Station
 from plants.errors import ScenarioError
 from plants.missions import geo
 from plants.simulation.loop import Loop, Scenario
 from plants.simulation.simulate import simulate_many
+from plants.surroundings import gravity, orbit
 
 EPOCH = datetime(2007, 6, 21)
 DAY = 86400.0

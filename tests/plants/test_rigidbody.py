@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from plants import orbit
-from plants.disturbances import ConstantTorque, GravityGradient
 from plants.dynamics import attitude
 from plants.dynamics.rigidbody import BodyState, RigidBody, state_from
-from plants.environment import CircularEnvironment, Environment, FreeSpace
 from plants.errors import ScenarioError
 from plants.simulation.simulate import Loop, Scenario, simulate
+from plants.surroundings import orbit
+from plants.surroundings.disturbances import ConstantTorque, GravityGradient
+from plants.surroundings.environment import CircularEnvironment, Environment, FreeSpace
 
 DATA = Path(__file__).parent.parent / "data"
 FULL = np.array([[310, 1.11, 1.01], [1.11, 360, -0.35], [1.01, -0.35, 530.7]]) / 1e3  # kg m^2, no symmetry

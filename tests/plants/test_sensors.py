@@ -7,9 +7,9 @@ import pytest
 
 from plants.dynamics import attitude
 from plants.dynamics.rigidbody import BodyState
-from plants.environment import FreeSpace
 from plants.errors import ScenarioError
 from plants.hardware import sensors
+from plants.surroundings.environment import FreeSpace
 
 SHEET = {
     "sun_noise": 5e-3,

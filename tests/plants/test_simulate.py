@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from plants.disturbances import Drag, SolarPressure
 from plants.errors import ScenarioError
 from plants.missions import cubesat3u
 from plants.simulation import blocks, simulate
 from plants.simulation.simulate import Loop, Scenario
+from plants.surroundings.disturbances import Drag, SolarPressure
 
 ROUNDING = 1e-12  # compiled against stepped: the same arithmetic in another order, contracted by the loop
 

@@ -24,12 +24,12 @@ from jax import Array
 from jax.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-from plants import orbit
 from plants.checks import Numbers, positive, real
 from plants.dynamics import attitude
 from plants.errors import ScenarioError
-from plants.orbit import EARTH_RADIUS, Orbit
 from plants.simulation import blocks
+from plants.surroundings import orbit
+from plants.surroundings.orbit import EARTH_RADIUS, Orbit
 
 DAY = 86400.0  # () s
 EARLIEST, LATEST = datetime(1972, 1, 1), datetime(2030, 1, 1)  # UTC with leap seconds; IGRF-14

@@ -16,11 +16,11 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from plants.checks import Numbers, positive
-from plants.disturbances import SOLAR_PRESSURE
 from plants.dynamics.attitude import cross, dot
-from plants.environment import visible_fraction
-from plants.orbit import EARTH_RADIUS, MU
 from plants.simulation import blocks
+from plants.surroundings.disturbances import SOLAR_PRESSURE
+from plants.surroundings.environment import visible_fraction
+from plants.surroundings.orbit import EARTH_RADIUS, MU
 
 MU_MOON = 4.902800e12  # () m^3/s^2  IERS Conventions (2010), table 1.1: the Earth's times 0.0123000371
 MU_SUN = 1.32712442099e20  # () m^3/s^2  IERS Conventions (2010), table 1.1
@@ -116,7 +116,7 @@ def sunlight(r: ArrayLike, sun: ArrayLike, coefficient: ArrayLike) -> Array:
 def sunlit(r: ArrayLike, sun: ArrayLike) -> Array:
     """Visible fraction () of the solar disc at r (3,) m behind a spherical Earth, from 0 to 1.
 
-    The disc crosses the limb as in `plants.environment`, so the edge of the shadow is as soft as it is in truth:
+    The disc crosses the limb as in `plants.surroundings.environment`, so the edge of the shadow is as soft as it is in truth:
     at geostationary height it takes 2 minutes to cross, of the 70 that the longest shadow lasts.
     """
     r = jnp.asarray(r)

@@ -15,9 +15,9 @@ from jax.typing import ArrayLike
 
 from plants.checks import Numbers, real
 from plants.dynamics.attitude import cross, dot, rotate
-from plants.environment import OrbitEnv
-from plants.orbit import MU
 from plants.simulation import blocks
+from plants.surroundings.environment import OrbitEnv
+from plants.surroundings.orbit import MU
 
 EARTH_RATE = 7.292115e-5  # () rad/s
 SOLAR_PRESSURE = 4.54e-6  # () N/m^2 at 1 au: 1361 W/m^2 over the speed of light
