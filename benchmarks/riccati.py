@@ -24,10 +24,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from literature import cubesat_pecorilla2024, mass_spring_chain
 
+from synth.analysis.norms import hinfnorm, verify
+from synth.analysis.precondition import precondition
 from synth.generalized import GeneralizedPlant
 from synth.hinf_riccati import RiccatiRoute
-from synth.norms import hinfnorm, verify
-from synth.precondition import precondition
 from synth.statespace import StateSpace
 
 

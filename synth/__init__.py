@@ -12,6 +12,15 @@ if TYPE_CHECKING:
     from synth.acceptance import Acceptance as Acceptance
     from synth.acceptance import Requirements as Requirements
     from synth.acceptance import accept as accept
+    from synth.analysis.gap import Gap as Gap
+    from synth.analysis.gap import gapmetric as gapmetric
+    from synth.analysis.norms import h2norm as h2norm
+    from synth.analysis.norms import hinfnorm as hinfnorm
+    from synth.analysis.norms import verify as verify
+    from synth.analysis.stabilitymargins import Margins as Margins
+    from synth.analysis.stabilitymargins import diskmargin as diskmargin
+    from synth.analysis.stabilitymargins import margin as margin
+    from synth.analysis.stabilitymargins import margins as margins
     from synth.antiwindup import AntiWindup as AntiWindup
     from synth.certify import Certificate as Certificate
     from synth.controller import Controller as Controller
@@ -34,17 +43,12 @@ if TYPE_CHECKING:
     from synth.fuel import free_motion as free_motion
     from synth.fuel import fuel_mpc as fuel_mpc
     from synth.fuel import minimum_fuel as minimum_fuel
-    from synth.gap import Gap as Gap
-    from synth.gap import gapmetric as gapmetric
     from synth.generalized import GeneralizedPlant as GeneralizedPlant
     from synth.hinfinity import hinfsyn as hinfsyn
     from synth.loopshaping import ncfmargin as ncfmargin
     from synth.loopshaping import ncfsyn as ncfsyn
     from synth.mixedsensitivity import augw as augw
     from synth.mixedsensitivity import mixsyn as mixsyn
-    from synth.norms import h2norm as h2norm
-    from synth.norms import hinfnorm as hinfnorm
-    from synth.norms import verify as verify
     from synth.plots import sigma_plot as sigma_plot
     from synth.predictive import Mpc as Mpc
     from synth.predictive import mpc as mpc
@@ -67,10 +71,6 @@ if TYPE_CHECKING:
     from synth.sdre import SdreSampled as SdreSampled
     from synth.specification import Study as Study
     from synth.specification import read_study as read_study
-    from synth.stabilitymargins import Margins as Margins
-    from synth.stabilitymargins import diskmargin as diskmargin
-    from synth.stabilitymargins import margin as margin
-    from synth.stabilitymargins import margins as margins
     from synth.statespace import StateSpace as StateSpace
     from synth.statespace import c2d as c2d
     from synth.statespace import feedback as feedback
@@ -87,12 +87,12 @@ _HOME = {
     "EulerModel": "sdc",
     "ExportError": "errors",
     "FuelMpc": "fuel",
-    "Gap": "gap",
+    "Gap": "analysis.gap",
     "GeneralizedPlant": "generalized",
     "InfeasibleError": "errors",
     "Info": "design",
     "LinearController": "controller",
-    "Margins": "stabilitymargins",
+    "Margins": "analysis.stabilitymargins",
     "ModelError": "errors",
     "Mpc": "predictive",
     "MrpModel": "sdc",
@@ -116,21 +116,21 @@ _HOME = {
     "c2d": "statespace",
     "care": "riccati",
     "dare": "riccati",
-    "diskmargin": "stabilitymargins",
+    "diskmargin": "analysis.stabilitymargins",
     "dlqr": "regulator",
     "feedback": "statespace",
     "free_motion": "fuel",
     "fuel_mpc": "fuel",
-    "gapmetric": "gap",
-    "h2norm": "norms",
-    "hinfnorm": "norms",
+    "gapmetric": "analysis.gap",
+    "h2norm": "analysis.norms",
+    "hinfnorm": "analysis.norms",
     "hinfsyn": "hinfinity",
     "lft": "statespace",
     "lqg": "regulator",
     "lqr": "regulator",
     "lqrd": "regulator",
-    "margin": "stabilitymargins",
-    "margins": "stabilitymargins",
+    "margin": "analysis.stabilitymargins",
+    "margins": "analysis.stabilitymargins",
     "minimum_fuel": "fuel",
     "mixsyn": "mixedsensitivity",
     "mpc": "predictive",
@@ -144,7 +144,7 @@ _HOME = {
     "series": "statespace",
     "sigma_plot": "plots",
     "state_feedback": "controller",
-    "verify": "norms",
+    "verify": "analysis.norms",
 }
 
 __all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from synth.acceptance import inner
+from synth.analysis.gap import gapmetric
+from synth.analysis.norms import balance
+from synth.analysis.stabilitymargins import margins
 from synth.design import Design
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.files import write_atomically
-from synth.gap import gapmetric
 from synth.loopshaping import ncfmargin
-from synth.norms import balance
 from synth.plots import frequencies, sigma, sigma_plot
-from synth.stabilitymargins import margins
 from synth.statespace import StateSpace, series
 
 MEASURES: dict[str, tuple[str, str]] = {  # key -> (text, what it is)

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from synth.analysis.norms import verify
 from synth.errors import ModelError, VerificationError
 from synth.files import write_atomically
 from synth.generalized import GeneralizedPlant
-from synth.norms import verify
 from synth.statespace import StateSpace, series
 
 if TYPE_CHECKING:

@@ -19,10 +19,10 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 import scipy.linalg as sla
 
+from synth.analysis.precondition import regularised_lqr
 from synth.doubling import Riccati, is_nonnegative, is_positive, solve_riccati
 from synth.errors import NumericalError
 from synth.generalized import GeneralizedPlant
-from synth.precondition import regularised_lqr
 from synth.statespace import StateSpace
 
 REGULARISATIONS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # relative to the scaled plant

@@ -20,12 +20,12 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
+from synth.analysis.norms import Verification, verify
+from synth.analysis.precondition import check_assumptions, precondition
 from synth.design import Design, Info
 from synth.errors import InfeasibleError, ModelError, NumericalError, SynthError
 from synth.files import provenance
 from synth.generalized import GeneralizedPlant
-from synth.norms import Verification, verify
-from synth.precondition import check_assumptions, precondition
 from synth.statespace import StateSpace, cayley, cayley_rate, inverse_cayley
 from synth.threads import one_thread
 

@@ -25,14 +25,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from synth.coprime import Solutions, balanced, closed_loop_moduli, discretised, solutions
+from synth.analysis.coprime import Solutions, balanced, closed_loop_moduli, discretised, solutions
+from synth.analysis.norms import balance, is_stable, verify
+from synth.analysis.precondition import check_assumptions
 from synth.design import Design, Info, Shaping
 from synth.doubling import FINAL_RESIDUAL
 from synth.errors import InfeasibleError, ModelError, NumericalError, VerificationError
 from synth.files import provenance
 from synth.generalized import GeneralizedPlant
-from synth.norms import balance, is_stable, verify
-from synth.precondition import check_assumptions
 from synth.statespace import StateSpace, as_matrix, common_timebase, series
 from synth.threads import one_thread
 

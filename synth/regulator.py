@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.linalg as sla
 
+from synth.analysis.precondition import check_assumptions
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.generalized import GeneralizedPlant
-from synth.precondition import check_assumptions
 from synth.statespace import StateSpace, as_matrix
 
 SYMMETRIC = 1e-12  # relative

@@ -5,6 +5,8 @@ import pytest
 from literature import compleib, cubesat_pecorilla2024
 
 from synth.acceptance import Acceptance, Requirements, accept, inner, simulate
+from synth.analysis.norms import hinfnorm
+from synth.analysis.stabilitymargins import margins
 from synth.antiwindup import AntiWindup
 from synth.design import Design
 from synth.errors import ModelError
@@ -12,8 +14,6 @@ from synth.export.reference import SequentialController
 from synth.generalized import GeneralizedPlant
 from synth.hinfinity import hinfsyn
 from synth.loopshaping import four_block, ncfsyn
-from synth.norms import hinfnorm
-from synth.stabilitymargins import margins
 from synth.statespace import StateSpace, c2d, delayed
 
 

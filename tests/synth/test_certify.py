@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from literature import GAMMA_PECORILLA2024, compleib, cubesat_pecorilla2024, mass_spring_chain, random_plant
 
+from synth.analysis.norms import hinfnorm
 from synth.balls import Coupling, Impulse, Step, proves_lower
 from synth.certify import Certificate, certify
 from synth.design import Design
@@ -14,7 +15,6 @@ from synth.errors import ModelError, VerificationError
 from synth.generalized import GeneralizedPlant
 from synth.hinfinity import hinfsyn
 from synth.loopshaping import ncfsyn
-from synth.norms import hinfnorm
 from synth.statespace import StateSpace
 
 PROVED_PECORILLA2024 = (4.1579245945e-6, 4.157929852e-6)  # both bounds proved with semidefinite programmes

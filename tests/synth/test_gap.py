@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.signal import tf2ss
 
-from synth.coprime import discretised, right_factors
+from synth.analysis.coprime import discretised, right_factors
+from synth.analysis.gap import gapmetric
 from synth.errors import AssumptionError, ModelError
-from synth.gap import gapmetric
 from synth.loopshaping import ncfmargin, ncfsyn
 from synth.statespace import StateSpace, c2d
 

@@ -7,6 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from literature import GAMMA_PECORILLA2024, compleib, cubesat_pecorilla2024, mass_spring_chain, random_plant
 
+from synth.analysis.norms import hinfnorm, is_stable, verify
+from synth.analysis.precondition import Conditioned, precondition
 from synth.errors import NumericalError, VerificationError
 from synth.generalized import GeneralizedPlant
 from synth.hinf_riccati import (
@@ -19,8 +21,6 @@ from synth.hinf_riccati import (
     search,
     solve_level,
 )
-from synth.norms import hinfnorm, is_stable, verify
-from synth.precondition import Conditioned, precondition
 from synth.statespace import StateSpace, cayley, cayley_rate, inverse_cayley
 
 seeds = st.integers(0, 10**6)

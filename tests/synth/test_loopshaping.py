@@ -8,13 +8,13 @@ import pytest
 from literature import DATA
 from scipy.signal import tf2ss
 
-from synth.coprime import solutions
+from synth.analysis.coprime import solutions
+from synth.analysis.norms import hinfnorm, is_stable
 from synth.design import Design, to_dict
 from synth.errors import AssumptionError, InfeasibleError, ModelError, VerificationError
 from synth.hinfinity import hinfsyn
 from synth.lmi import coprime as program
 from synth.loopshaping import four_block, ncfmargin, ncfsyn, observer_controller
-from synth.norms import hinfnorm, is_stable
 from synth.statespace import StateSpace, c2d, feedback, series
 
 KNOWN = 1e-6  # relative, of the optimal level

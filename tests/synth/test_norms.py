@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from synth.analysis.norms import h2norm, hinfnorm, is_stable, spectral_radius, verify
 from synth.errors import VerificationError
-from synth.norms import h2norm, hinfnorm, is_stable, spectral_radius, verify
 from synth.statespace import StateSpace, c2d
 
 

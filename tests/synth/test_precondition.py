@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from literature import compleib, cubesat_pecorilla2024, mass_spring_chain, random_plant
 
+from synth.analysis.norms import hinfnorm
+from synth.analysis.precondition import check_assumptions, precondition
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.generalized import GeneralizedPlant
 from synth.hinf_riccati import RiccatiRoute
-from synth.norms import hinfnorm
-from synth.precondition import check_assumptions, precondition
 from synth.statespace import StateSpace
 
 seeds = st.integers(0, 10**6)

@@ -11,8 +11,8 @@ import pytest
 import scipy.linalg as sla
 
 from synth import sdre
+from synth.analysis.coprime import solutions
 from synth.controller import LinearController
-from synth.coprime import solutions
 from synth.errors import AssumptionError, ModelError
 from synth.loopshaping import ncfmargin
 from synth.quaternion import QuaternionPid, quaternion_lqr, quaternion_pd, quaternion_pid

@@ -7,11 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from literature import cubesat_model
 
+from synth.analysis.gap import gapmetric
+from synth.analysis.norms import is_stable
+from synth.analysis.stabilitymargins import diskmargin, margin, margins
 from synth.controller import proportional_derivative
 from synth.errors import ModelError
-from synth.gap import gapmetric
-from synth.norms import is_stable
-from synth.stabilitymargins import diskmargin, margin, margins
 from synth.statespace import StateSpace, c2d, delayed, feedback
 
 

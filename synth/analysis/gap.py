@@ -22,12 +22,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.linalg as sla
 
-from synth.coprime import discretised, fastest, left_factors, right_factors
+from synth.analysis.coprime import discretised, fastest, left_factors, right_factors
+from synth.analysis.norms import balance, hinfnorm, spectral_radius
+from synth.analysis.precondition import check_assumptions
 from synth.doubling import is_positive, solve_riccati
 from synth.errors import ModelError
 from synth.loopshaping import four_block
-from synth.norms import balance, hinfnorm, spectral_radius
-from synth.precondition import check_assumptions
 from synth.statespace import StateSpace, common_timebase, series
 
 TOLERANCE = 1e-9  # of the gap, absolute

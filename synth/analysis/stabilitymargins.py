@@ -23,9 +23,9 @@ import numpy as np
 import scipy.linalg as sla
 from scipy.optimize import root_scalar
 
+from synth.analysis.norms import balance, hinfnorm, is_stable
 from synth.errors import ModelError
 from synth.loopshaping import ncfmargin
-from synth.norms import balance, hinfnorm, is_stable
 from synth.statespace import StateSpace, cayley, cayley_rate, common_timebase, delayed, feedback, lft, series
 
 NEAR_CIRCLE = 1e-4  # an eigenvalue this near the unit circle is a candidate; candidates are then polished

@@ -21,9 +21,9 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg as sla
 
+from synth.analysis.norms import spectral_radius
 from synth.doubling import Riccati, is_nonnegative, is_positive, solve_riccati
 from synth.errors import NumericalError
-from synth.norms import spectral_radius
 from synth.statespace import StateSpace, cayley
 
 NEGLIGIBLE = 1e-8  # of the largest LQG singular value; below it they are rounding
