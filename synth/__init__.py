@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from synth.analysis.stabilitymargins import margins as margins
     from synth.antiwindup import AntiWindup as AntiWindup
     from synth.certify import Certificate as Certificate
+    from synth.command.specification import Study as Study
+    from synth.command.specification import read_study as read_study
     from synth.controller import Controller as Controller
     from synth.controller import LinearController as LinearController
     from synth.controller import proportional_derivative as proportional_derivative
@@ -69,8 +71,6 @@ if TYPE_CHECKING:
     from synth.sdre import SdreHinfPaperLiteral as SdreHinfPaperLiteral
     from synth.sdre import SdreHinfStatic as SdreHinfStatic
     from synth.sdre import SdreSampled as SdreSampled
-    from synth.specification import Study as Study
-    from synth.specification import read_study as read_study
     from synth.statespace import StateSpace as StateSpace
     from synth.statespace import c2d as c2d
     from synth.statespace import feedback as feedback
@@ -108,7 +108,7 @@ _HOME = {
     "Shaping": "design",
     "SpecificationError": "errors",
     "StateSpace": "statespace",
-    "Study": "specification",
+    "Study": "command.specification",
     "SynthError": "errors",
     "VerificationError": "errors",
     "accept": "acceptance",
@@ -140,7 +140,7 @@ _HOME = {
     "quaternion_lqr": "quaternion",
     "quaternion_pd": "quaternion",
     "quaternion_pid": "quaternion",
-    "read_study": "specification",
+    "read_study": "command.specification",
     "series": "statespace",
     "sigma_plot": "plots",
     "state_feedback": "controller",

@@ -1,6 +1,6 @@
 """The `synth` command: look into controller files, accept, export, compare and design. `synth --help` says more.
 
-Only `argparse` is imported here: help is instant. What a command does is in `synth.commands`.
+Only `argparse` is imported here: help is instant. What a command does is in `synth.command.commands`.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit code."""
     options = make_parser().parse_args(arguments)
     try:
-        from synth import commands
+        from synth.command import commands
 
         return commands.run(options)
     except KeyboardInterrupt:

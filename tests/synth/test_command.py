@@ -12,12 +12,12 @@ from literature import GAMMA_PECORILLA2024, compleib, cubesat_pecorilla2024
 
 from synth.__main__ import main
 from synth.antiwindup import AntiWindup
+from synth.command.specification import read_study
 from synth.design import Design
 from synth.export import export
 from synth.hinfinity import hinfsyn
 from synth.loopshaping import ncfsyn
 from synth.modelfiles import Model, read, save_system
-from synth.specification import read_study
 from synth.statespace import StateSpace, c2d
 
 STUDY = Path(__file__).parents[2] / "examples" / "cubesat3u.toml"
@@ -345,5 +345,5 @@ def test_an_interrupted_command_ends_with_130(synth, monkeypatch):
     def interrupted(options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("synth.commands.run", interrupted)
+    monkeypatch.setattr("synth.command.commands.run", interrupted)
     assert synth("info", "plant.json") == (130, "", "synth: interrupted\n")

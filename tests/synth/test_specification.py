@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from literature import GAMMA_PECORILLA2024, cubesat_pecorilla2024
 
+from synth.command.specification import read_study
 from synth.errors import SpecificationError
 from synth.hinfinity import hinfsyn
 from synth.loopshaping import ncfsyn
 from synth.modelfiles import save_system
-from synth.specification import read_study
 from synth.statespace import StateSpace, c2d
 
 SHAPING = """

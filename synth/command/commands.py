@@ -291,7 +291,7 @@ def compare(options: argparse.Namespace) -> int:
 
 def design(options: argparse.Namespace) -> int:
     """`synth design`."""
-    from synth.specification import read_study
+    from synth.command.specification import read_study
 
     file = Path(options.files[0])
     target = Path(options.output) if options.output else file.with_suffix(".json")

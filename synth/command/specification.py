@@ -26,6 +26,7 @@ import numpy as np
 
 from synth.acceptance import Acceptance, Requirements, accept, sampled
 from synth.antiwindup import AntiWindup
+from synth.command.tables import Table
 from synth.design import Design
 from synth.errors import ModelError, SpecificationError, SynthError
 from synth.generalized import GeneralizedPlant
@@ -35,7 +36,6 @@ from synth.loopshaping import four_block, ncfsyn
 from synth.mixedsensitivity import augw, mixsyn
 from synth.modelfiles import NINE, Model, read
 from synth.statespace import StateSpace, c2d
-from synth.tables import Table
 
 PROBLEMS = ("tracking", "generalized", "loopshaping", "mixedsensitivity")
 TRACKING = {"Wproc": "u", "Wdist": "y", "Werr": "y", "Wact": "u", "Wr": "y"}  # weight -> signals of the plant
