@@ -41,7 +41,7 @@ from plants.outcome.indices import Indices
 from plants.outcome.study import Table
 from plants.simulation import campaign, simulate
 from plants.simulation.loop import Loop, Run, Scenario
-from synth.export.qp import save_mpc
+from synth.delivery.qp import save_mpc
 
 
 class Start(NamedTuple):

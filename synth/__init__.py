@@ -9,9 +9,6 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from synth.acceptance import Acceptance as Acceptance
-    from synth.acceptance import Requirements as Requirements
-    from synth.acceptance import accept as accept
     from synth.analysis.gap import Gap as Gap
     from synth.analysis.gap import gapmetric as gapmetric
     from synth.analysis.norms import h2norm as h2norm
@@ -29,6 +26,10 @@ if TYPE_CHECKING:
     from synth.controller import LinearController as LinearController
     from synth.controller import proportional_derivative as proportional_derivative
     from synth.controller import state_feedback as state_feedback
+    from synth.delivery.acceptance import Acceptance as Acceptance
+    from synth.delivery.acceptance import Requirements as Requirements
+    from synth.delivery.acceptance import accept as accept
+    from synth.delivery.plots import sigma_plot as sigma_plot
     from synth.design import Design as Design
     from synth.design import Info as Info
     from synth.design import Shaping as Shaping
@@ -51,7 +52,6 @@ if TYPE_CHECKING:
     from synth.loopshaping import ncfsyn as ncfsyn
     from synth.mixedsensitivity import augw as augw
     from synth.mixedsensitivity import mixsyn as mixsyn
-    from synth.plots import sigma_plot as sigma_plot
     from synth.predictive import Mpc as Mpc
     from synth.predictive import mpc as mpc
     from synth.quaternion import quaternion_lqr as quaternion_lqr
@@ -78,7 +78,7 @@ if TYPE_CHECKING:
     from synth.statespace import series as series
 
 _HOME = {
-    "Acceptance": "acceptance",
+    "Acceptance": "delivery.acceptance",
     "AntiWindup": "antiwindup",
     "AssumptionError": "errors",
     "Certificate": "certify",
@@ -98,7 +98,7 @@ _HOME = {
     "MrpModel": "sdc",
     "NumericalError": "errors",
     "QuaternionModel": "sdc",
-    "Requirements": "acceptance",
+    "Requirements": "delivery.acceptance",
     "Sdre": "sdre",
     "SdreHinf": "sdre",
     "SdreHinfPaperLiteral": "sdre",
@@ -111,7 +111,7 @@ _HOME = {
     "Study": "command.specification",
     "SynthError": "errors",
     "VerificationError": "errors",
-    "accept": "acceptance",
+    "accept": "delivery.acceptance",
     "augw": "mixedsensitivity",
     "c2d": "statespace",
     "care": "riccati",
@@ -142,7 +142,7 @@ _HOME = {
     "quaternion_pid": "quaternion",
     "read_study": "command.specification",
     "series": "statespace",
-    "sigma_plot": "plots",
+    "sigma_plot": "delivery.plots",
     "state_feedback": "controller",
     "verify": "analysis.norms",
 }

@@ -135,8 +135,8 @@ class Design:
         return f"<table>{rows}</table>"
 
     def plot(self, ax: Any = None, **style: Any) -> Any:
-        """Singular values of closed loop and controller against frequency; see `synth.plots.design_plot`."""
-        from synth.plots import design_plot
+        """Singular values of closed loop and controller against frequency; see `synth.delivery.plots.design_plot`."""
+        from synth.delivery.plots import design_plot
 
         return design_plot(self, ax, **style)
 
@@ -153,7 +153,7 @@ class Design:
         if path.suffix == ".json":
             return write_atomically(path, json_bytes(self))
         if path.suffix == ".mat":
-            from synth.export.matlab import mat_bytes
+            from synth.delivery.matlab import mat_bytes
 
             return write_atomically(path, mat_bytes(self))
         raise ModelError(f"path ends with {path.suffix!r}; a design is saved as .json or .mat")

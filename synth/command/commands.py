@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from synth.antiwindup import AntiWindup
+from synth.delivery.modelfiles import Model, read
 from synth.design import Design
 from synth.errors import (
     AssumptionError,
@@ -24,7 +25,6 @@ from synth.errors import (
     VerificationError,
 )
 from synth.generalized import GeneralizedPlant
-from synth.modelfiles import Model, read
 
 DONE, MISSED, BAD_INPUT, NO_CONTROLLER, NUMERICAL = range(5)
 CODES = {
@@ -160,7 +160,7 @@ def timebase(dt: float) -> dict[str, Any]:
 
 def verify(options: argparse.Namespace) -> int:
     """`synth verify`."""
-    from synth.acceptance import Acceptance, Requirements, accept
+    from synth.delivery.acceptance import Acceptance, Requirements, accept
 
     names = ("delay_ratio", "gain_margin_db", "phase_margin_deg", "delay_margin_samples", "disk_margin", "ncf_margin")
     required = Requirements(**{name: getattr(options, name) for name in names})
@@ -248,7 +248,7 @@ def acceptance_text(found: Any) -> str:
 
 def export(options: argparse.Namespace) -> int:
     """`synth export`."""
-    from synth.export import export as write
+    from synth.delivery.formats import export as write
 
     file = options.files[0]
     item = load(file)
@@ -269,7 +269,7 @@ def export(options: argparse.Namespace) -> int:
 
 def compare(options: argparse.Namespace) -> int:
     """`synth compare`."""
-    from synth import comparison
+    from synth.delivery import comparison
 
     designs = {}
     for file in options.files:

@@ -24,9 +24,10 @@ from typing import Any
 
 import numpy as np
 
-from synth.acceptance import Acceptance, Requirements, accept, sampled
 from synth.antiwindup import AntiWindup
 from synth.command.tables import Table
+from synth.delivery.acceptance import Acceptance, Requirements, accept, sampled
+from synth.delivery.modelfiles import NINE, Model, read
 from synth.design import Design
 from synth.errors import ModelError, SpecificationError, SynthError
 from synth.generalized import GeneralizedPlant
@@ -34,7 +35,6 @@ from synth.hinfinity import METHODS, hinfsyn
 from synth.loopshaping import METHODS as SHAPING_METHODS
 from synth.loopshaping import four_block, ncfsyn
 from synth.mixedsensitivity import augw, mixsyn
-from synth.modelfiles import NINE, Model, read
 from synth.statespace import StateSpace, c2d
 
 PROBLEMS = ("tracking", "generalized", "loopshaping", "mixedsensitivity")

@@ -3,7 +3,7 @@
     v = C x + D e,   u = min(max(v, umin), umax),   x+ = A x + B e + L (u - v)
 
 Every sum starts at zero and adds one rounded product after another, from left to right, first the states, then the
-inputs, then the deficit u - v of the actuators. The C code (`synth.export.c`) is printed from this object.
+inputs, then the deficit u - v of the actuators. The C code (`synth.delivery.c`) is printed from this object.
 
 With the anti-windup gain L a saturated controller follows what the actuators did: while u stays at a limit its
 dynamics are A - L C, which must be stable, or the states run away. L = 0 leaves A, the plain clipped controller.

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from literature import compleib, cubesat_pecorilla2024
 
-from synth.acceptance import Acceptance, Requirements, accept, inner, simulate
 from synth.analysis.norms import hinfnorm
 from synth.analysis.stabilitymargins import margins
 from synth.antiwindup import AntiWindup
+from synth.delivery.acceptance import Acceptance, Requirements, accept, inner, simulate
 from synth.design import Design
 from synth.errors import ModelError
 from synth.export.reference import SequentialController

@@ -14,9 +14,9 @@ from scipy.signal import tf2ss
 
 from synth.antiwindup import AntiWindup
 from synth.controller import LinearController
+from synth.delivery.formats import export
 from synth.design import Design
 from synth.errors import ExportError, ModelError, VerificationError
-from synth.export import export
 from synth.export.reference import SequentialController
 from synth.hinfinity import hinfsyn
 from synth.loopshaping import ncfsyn
@@ -248,7 +248,7 @@ def test_existing_files_are_kept_without_force(tmp_path):
 
 def test_both_files_or_none(tmp_path, monkeypatch):
     """The disk fails at the second file: the first one is what it was."""
-    from synth.export import files
+    from synth.delivery import files
 
     export(STABLE, "c", tmp_path)
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}

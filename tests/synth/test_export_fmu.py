@@ -15,9 +15,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from literature import cubesat_pecorilla2024
 
+from synth.delivery import fmu
+from synth.delivery.formats import export
 from synth.design import Design
 from synth.errors import ExportError
-from synth.export import export, fmu
 from synth.export.reference import SequentialController
 from synth.hinfinity import hinfsyn
 from synth.statespace import StateSpace

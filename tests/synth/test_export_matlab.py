@@ -10,9 +10,9 @@ import scipy.io
 from literature import cubesat_pecorilla2024
 
 from synth.controller import state_feedback
+from synth.delivery.formats import export
 from synth.design import Design
 from synth.errors import ExportError
-from synth.export import export
 from synth.export.reference import SequentialController
 from synth.hinfinity import hinfsyn
 from synth.statespace import StateSpace

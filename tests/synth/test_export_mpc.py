@@ -9,8 +9,8 @@ import pytest
 from exported import gcc
 from literature import cubesat_model
 
+from synth.delivery.solver import export_mpc
 from synth.errors import ExportError
-from synth.export.solver import export_mpc
 from synth.predictive import mpc
 
 

@@ -9,8 +9,8 @@ import scipy.io
 import scipy.sparse as sp
 from literature import cubesat_model
 
+from synth.delivery.qp import save_mpc
 from synth.errors import ModelError
-from synth.export.qp import save_mpc
 from synth.predictive import mpc
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from synth import GeneralizedPlant, StateSpace, c2d, hinfsyn, ncfsyn, sigma_plot
+from synth.delivery.plots import frequencies
 from synth.errors import ModelError
-from synth.plots import frequencies
 
 
 @pytest.fixture(scope="module")

@@ -5,10 +5,10 @@ import pytest
 from literature import GAMMA_PECORILLA2024, cubesat_pecorilla2024
 
 from synth.command.specification import read_study
+from synth.delivery.modelfiles import save_system
 from synth.errors import SpecificationError
 from synth.hinfinity import hinfsyn
 from synth.loopshaping import ncfsyn
-from synth.modelfiles import save_system
 from synth.statespace import StateSpace, c2d
 
 SHAPING = """

@@ -53,8 +53,8 @@ def export(
     ModelError : the controller, the limits or the gain are not valid.
     VerificationError : rounded to float, the controller does not stabilise the design's plant.
     """
+    from synth.delivery.files import check_name, write_all
     from synth.errors import ExportError
-    from synth.export.files import check_name, write_all
 
     if format not in FORMATS:
         raise ExportError(f"format is {format!r}; pass one of {', '.join(FORMATS)}")
@@ -72,8 +72,8 @@ def export(
 
 def _documents(design: Any, format: str, name: str) -> dict[str, bytes]:
     """The design, or a controller without a plant, as data."""
+    from synth.delivery import matlab, plain
     from synth.design import Design, json_bytes
-    from synth.export import matlab, plain
 
     if not isinstance(design, Design):
         content = plain.json_bytes(design) if format == "json" else plain.mat_bytes(design)
@@ -86,14 +86,14 @@ def _documents(design: Any, format: str, name: str) -> dict[str, bytes]:
 
 def _code(design: Any, format: str, name: str, self_test: bool, **options: Any) -> dict[str, bytes]:
     """The C files, or the FMU made of them."""
-    from synth.export.c import c_files
-    from synth.export.origin import origin_of
+    from synth.delivery.c import c_files
+    from synth.delivery.origin import origin_of
     from synth.export.reference import SequentialController
 
     controller = SequentialController.of(design, **options)
     origin = origin_of(design, controller)
     if format == "c":
         return c_files(controller, origin, name, self_test=self_test)
-    from synth.export.fmu import fmu_bytes
+    from synth.delivery.fmu import fmu_bytes
 
     return {f"{name}.fmu": fmu_bytes(controller, origin, name, version=int(format[-1]))}

@@ -13,8 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from synth.delivery.origin import Origin, Signal
 from synth.errors import ExportError
-from synth.export.origin import Origin, Signal
 from synth.export.reference import SequentialController
 
 SAMPLES = 32  # of the stored trace

@@ -2,7 +2,7 @@
 
     NAME_solve(phi, u)      phi: the measured data, laid out as in the JSON file of `save_mpc`; u: the command
 
-The program is the canonical one of `synth.export.qp`, so the JSON file beside the code describes it completely. What
+The program is the canonical one of `synth.delivery.qp`, so the JSON file beside the code describes it completely. What
 the controller remembers from sample to sample (forecast, past commands, momentum) is a few lines on the caller's side,
 see `Mpc.step`. CVXPYgen is optional and only generates; the licences of what it writes are beside the code. QOCOGEN
 is an interior-point method: on the CubeSat's program about ten iterations, within 1e-5 of the limits of the command
@@ -24,9 +24,9 @@ from pathlib import Path
 import cvxpy as cp
 import numpy as np
 
+from synth.delivery.files import check_name, write_all
+from synth.delivery.qp import FREE, document, jsonable
 from synth.errors import ExportError
-from synth.export.files import check_name, write_all
-from synth.export.qp import FREE, document, jsonable
 from synth.predictive import Mpc
 
 TOLERANCE = 1e-8  # absolute and relative, of QOCO; with ten times smaller ones it fails on some states

@@ -26,12 +26,12 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
+from synth.delivery.c import c_files, initializer
+from synth.delivery.origin import Origin
 from synth.errors import ExportError
-from synth.export.c import c_files, initializer
-from synth.export.origin import Origin
 from synth.export.reference import SequentialController
 
-PACKAGE = resources.files("synth.export") / "fmi"
+PACKAGE = resources.files("synth.delivery.formats") / "fmi"
 HEADERS = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),

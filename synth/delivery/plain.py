@@ -13,9 +13,9 @@ import numpy as np
 import scipy.io
 
 from synth.antiwindup import AntiWindup
-from synth.export.origin import origin_of
+from synth.delivery.modelfiles import CONTROLLER, FORMAT_VERSION
+from synth.delivery.origin import origin_of
 from synth.export.reference import controller_of
-from synth.modelfiles import CONTROLLER, FORMAT_VERSION
 
 
 def json_bytes(source: Any) -> bytes:

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from synth.acceptance import inner
 from synth.analysis.gap import gapmetric
 from synth.analysis.norms import balance
 from synth.analysis.stabilitymargins import margins
+from synth.delivery.acceptance import inner
+from synth.delivery.plots import frequencies, sigma, sigma_plot
 from synth.design import Design
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.files import write_atomically
 from synth.loopshaping import ncfmargin
-from synth.plots import frequencies, sigma, sigma_plot
 from synth.statespace import StateSpace, series
 
 MEASURES: dict[str, tuple[str, str]] = {  # key -> (text, what it is)
