@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.linalg as sla
 
-from synth.riccati import continued, stabilising, stabilising_pair
+from synth.equations.riccati import continued, stabilising, stabilising_pair
 from synth.sdc import MrpModel
 from synth.sdre import Sdre
 

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from synth.design import Design as Design
     from synth.design import Info as Info
     from synth.design import Shaping as Shaping
+    from synth.equations.riccati import care as care
+    from synth.equations.riccati import dare as dare
     from synth.errors import AssumptionError as AssumptionError
     from synth.errors import ExportError as ExportError
     from synth.errors import InfeasibleError as InfeasibleError
@@ -61,8 +63,6 @@ if TYPE_CHECKING:
     from synth.regulator import lqg as lqg
     from synth.regulator import lqr as lqr
     from synth.regulator import lqrd as lqrd
-    from synth.riccati import care as care
-    from synth.riccati import dare as dare
     from synth.sdc import EulerModel as EulerModel
     from synth.sdc import MrpModel as MrpModel
     from synth.sdc import QuaternionModel as QuaternionModel
@@ -114,8 +114,8 @@ _HOME = {
     "accept": "delivery.acceptance",
     "augw": "mixedsensitivity",
     "c2d": "statespace",
-    "care": "riccati",
-    "dare": "riccati",
+    "care": "equations.riccati",
+    "dare": "equations.riccati",
     "diskmargin": "analysis.stabilitymargins",
     "dlqr": "regulator",
     "feedback": "statespace",

@@ -20,7 +20,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from synth.analysis.precondition import regularised_lqr
-from synth.doubling import Riccati, is_nonnegative, is_positive, solve_riccati
+from synth.equations.doubling import Riccati, is_nonnegative, is_positive, solve_riccati
 from synth.errors import NumericalError
 from synth.generalized import GeneralizedPlant
 from synth.statespace import StateSpace

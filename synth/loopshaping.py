@@ -29,7 +29,7 @@ from synth.analysis.coprime import Solutions, balanced, closed_loop_moduli, disc
 from synth.analysis.norms import balance, is_stable, verify
 from synth.analysis.precondition import check_assumptions
 from synth.design import Design, Info, Shaping
-from synth.doubling import FINAL_RESIDUAL
+from synth.equations.doubling import FINAL_RESIDUAL
 from synth.errors import InfeasibleError, ModelError, NumericalError, VerificationError
 from synth.files import provenance
 from synth.generalized import GeneralizedPlant

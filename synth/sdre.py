@@ -22,10 +22,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from synth.equations.riccati import closed_loop_rate, continued, discrete_stabilising, stabilising, stabilising_pair
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.quaternion import as_period
 from synth.regulator import lqr, lqrd, sampled_cost
-from synth.riccati import closed_loop_rate, continued, discrete_stabilising, stabilising, stabilising_pair
 from synth.sdc import Factorisation
 from synth.statespace import as_matrix
 

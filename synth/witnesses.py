@@ -24,7 +24,7 @@ from flint import arb, ctx
 from synth import balls
 from synth.analysis.precondition import Conditioned, precondition
 from synth.balls import Coupling, Impulse, LowerWitness, Step, UpperWitness
-from synth.doubling import bounded_real, double, solve_riccati
+from synth.equations.doubling import bounded_real, double, solve_riccati
 from synth.errors import NumericalError
 from synth.generalized import GeneralizedPlant
 from synth.hinf_riccati import RiccatiRoute

@@ -22,7 +22,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from synth.analysis.norms import spectral_radius
-from synth.doubling import Riccati, is_nonnegative, is_positive, solve_riccati
+from synth.equations.doubling import Riccati, is_nonnegative, is_positive, solve_riccati
 from synth.errors import NumericalError
 from synth.statespace import StateSpace, cayley
 

@@ -25,7 +25,7 @@ import scipy.linalg as sla
 from synth.analysis.coprime import discretised, fastest, left_factors, right_factors
 from synth.analysis.norms import balance, hinfnorm, spectral_radius
 from synth.analysis.precondition import check_assumptions
-from synth.doubling import is_positive, solve_riccati
+from synth.equations.doubling import is_positive, solve_riccati
 from synth.errors import ModelError
 from synth.loopshaping import four_block
 from synth.statespace import StateSpace, common_timebase, series

@@ -125,7 +125,7 @@ def verify(system: Any) -> Verification:
 
 def confirm(G: StateSpace, peak: float) -> float:
     """Smallest level above `peak` at which the bounded-real Riccati equation of a stable discrete G has a solution."""
-    from synth.doubling import bounded_real
+    from synth.equations.doubling import bounded_real
 
     if peak == 0:
         return 0.0

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg as sla
 
-from synth.doubling import Riccati, is_nonnegative, is_positive, solve_riccati
+from synth.equations.doubling import Riccati, is_nonnegative, is_positive, solve_riccati
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.generalized import GeneralizedPlant
 from synth.statespace import StateSpace

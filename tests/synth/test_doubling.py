@@ -6,7 +6,7 @@ import scipy.linalg as sla
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from synth.doubling import bounded_real, double, is_nonnegative, is_positive, solve_riccati
+from synth.equations.doubling import bounded_real, double, is_nonnegative, is_positive, solve_riccati
 from synth.statespace import StateSpace
 
 seeds = st.integers(0, 10**6)

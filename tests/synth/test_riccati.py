@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
-from synth import riccati
+from synth.equations import riccati
 from synth.errors import ModelError
 
 GAIN = 1e-10  # relative, against SciPy
