@@ -24,7 +24,7 @@ from plants.outcome.study import Table
 from plants.simulation.loop import Run
 from plants.simulation.simulate import simulate, simulate_many
 from synth.design import Design
-from synth.fuel import FuelMpc, MinimumFuel, free_motion, fuel_mpc, minimum_fuel
+from synth.predictive.fuel import FuelMpc, MinimumFuel, free_motion, fuel_mpc, minimum_fuel
 from synth.statespace import c2d
 
 NOISE = np.repeat([1.0, 1e-3], 3)  # m, m/s, one sigma of each sample: ours, the thesis does not say

@@ -44,18 +44,18 @@ if TYPE_CHECKING:
     from synth.errors import SynthError as SynthError
     from synth.errors import VerificationError as VerificationError
     from synth.export.reference import SequentialController as SequentialController
-    from synth.fuel import FuelMpc as FuelMpc
-    from synth.fuel import free_motion as free_motion
-    from synth.fuel import fuel_mpc as fuel_mpc
-    from synth.fuel import minimum_fuel as minimum_fuel
     from synth.generalized import GeneralizedPlant as GeneralizedPlant
     from synth.hinfinity import hinfsyn as hinfsyn
     from synth.loopshaping import ncfmargin as ncfmargin
     from synth.loopshaping import ncfsyn as ncfsyn
     from synth.mixedsensitivity import augw as augw
     from synth.mixedsensitivity import mixsyn as mixsyn
-    from synth.predictive import Mpc as Mpc
-    from synth.predictive import mpc as mpc
+    from synth.predictive.fuel import FuelMpc as FuelMpc
+    from synth.predictive.fuel import free_motion as free_motion
+    from synth.predictive.fuel import fuel_mpc as fuel_mpc
+    from synth.predictive.fuel import minimum_fuel as minimum_fuel
+    from synth.predictive.horizon import Mpc as Mpc
+    from synth.predictive.horizon import mpc as mpc
     from synth.quaternion import quaternion_lqr as quaternion_lqr
     from synth.quaternion import quaternion_pd as quaternion_pd
     from synth.quaternion import quaternion_pid as quaternion_pid
@@ -86,7 +86,7 @@ _HOME = {
     "Design": "design",
     "EulerModel": "sdc",
     "ExportError": "errors",
-    "FuelMpc": "fuel",
+    "FuelMpc": "predictive.fuel",
     "Gap": "analysis.gap",
     "GeneralizedPlant": "generalized",
     "InfeasibleError": "errors",
@@ -94,7 +94,7 @@ _HOME = {
     "LinearController": "controller",
     "Margins": "analysis.stabilitymargins",
     "ModelError": "errors",
-    "Mpc": "predictive",
+    "Mpc": "predictive.horizon",
     "MrpModel": "sdc",
     "NumericalError": "errors",
     "QuaternionModel": "sdc",
@@ -119,8 +119,8 @@ _HOME = {
     "diskmargin": "analysis.stabilitymargins",
     "dlqr": "regulator",
     "feedback": "statespace",
-    "free_motion": "fuel",
-    "fuel_mpc": "fuel",
+    "free_motion": "predictive.fuel",
+    "fuel_mpc": "predictive.fuel",
     "gapmetric": "analysis.gap",
     "h2norm": "analysis.norms",
     "hinfnorm": "analysis.norms",
@@ -131,9 +131,9 @@ _HOME = {
     "lqrd": "regulator",
     "margin": "analysis.stabilitymargins",
     "margins": "analysis.stabilitymargins",
-    "minimum_fuel": "fuel",
+    "minimum_fuel": "predictive.fuel",
     "mixsyn": "mixedsensitivity",
-    "mpc": "predictive",
+    "mpc": "predictive.horizon",
     "ncfmargin": "loopshaping",
     "ncfsyn": "loopshaping",
     "proportional_derivative": "controller",

@@ -19,7 +19,7 @@ import scipy.io
 
 from synth.errors import ModelError
 from synth.files import provenance, write_atomically
-from synth.predictive import Mpc
+from synth.predictive.horizon import Mpc
 
 FREE = 1e20  # a limit beyond this is none
 

@@ -27,7 +27,7 @@ import numpy as np
 from synth.delivery.files import check_name, write_all
 from synth.delivery.qp import FREE, document, jsonable
 from synth.errors import ExportError
-from synth.predictive import Mpc
+from synth.predictive.horizon import Mpc
 
 TOLERANCE = 1e-8  # absolute and relative, of QOCO; with ten times smaller ones it fails on some states
 SCALE = 1e4  # of the objective, whose curvature is small against the tolerance where commands hardly matter

@@ -11,7 +11,7 @@ from literature import cubesat_model
 
 from synth.delivery.qp import save_mpc
 from synth.errors import ModelError
-from synth.predictive import mpc
+from synth.predictive.horizon import mpc
 
 
 @pytest.fixture(scope="module")

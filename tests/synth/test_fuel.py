@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from synth import ModelError, NumericalError, StateSpace
-from synth.fuel import free_motion, fuel_mpc, minimum_fuel, pose, primer_peak, response
-from synth.parametriclp import canonicalise
-from synth.parametricqp import CLARABEL_SETTINGS
+from synth.predictive.fuel import free_motion, fuel_mpc, minimum_fuel, pose, primer_peak, response
+from synth.predictive.parametriclp import canonicalise
+from synth.predictive.parametricqp import CLARABEL_SETTINGS
 from synth.statespace import c2d
 
 N = 7.2921159e-5  # rad/s, of the geostationary orbit

@@ -26,8 +26,8 @@ import numpy as np
 import scipy.linalg as sla
 
 from synth.errors import ModelError, NumericalError
-from synth.parametriclp import ParametricLp, canonicalise
-from synth.predictive import count, limits
+from synth.predictive.horizon import count, limits
+from synth.predictive.parametriclp import ParametricLp, canonicalise
 from synth.statespace import StateSpace, as_matrix, c2d
 
 if TYPE_CHECKING:
