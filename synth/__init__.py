@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from synth.analysis.stabilitymargins import margin as margin
     from synth.analysis.stabilitymargins import margins as margins
     from synth.antiwindup import AntiWindup as AntiWindup
-    from synth.certify import Certificate as Certificate
     from synth.command.specification import Study as Study
     from synth.command.specification import read_study as read_study
     from synth.controller import Controller as Controller
@@ -56,6 +55,7 @@ if TYPE_CHECKING:
     from synth.predictive.fuel import minimum_fuel as minimum_fuel
     from synth.predictive.horizon import Mpc as Mpc
     from synth.predictive.horizon import mpc as mpc
+    from synth.proof.certify import Certificate as Certificate
     from synth.quaternion import quaternion_lqr as quaternion_lqr
     from synth.quaternion import quaternion_pd as quaternion_pd
     from synth.quaternion import quaternion_pid as quaternion_pid
@@ -81,7 +81,7 @@ _HOME = {
     "Acceptance": "delivery.acceptance",
     "AntiWindup": "antiwindup",
     "AssumptionError": "errors",
-    "Certificate": "certify",
+    "Certificate": "proof.certify",
     "Controller": "controller",
     "Design": "design",
     "EulerModel": "sdc",

@@ -25,7 +25,7 @@ from synth.statespace import StateSpace, series
 if TYPE_CHECKING:
     import control
 
-    from synth.certify import Certificate
+    from synth.proof.certify import Certificate
 
 FORMAT = "convex-synth design"
 FORMAT_VERSION = 1
@@ -159,8 +159,8 @@ class Design:
         raise ModelError(f"path ends with {path.suffix!r}; a design is saved as .json or .mat")
 
     def certify(self, *, lower: float | None = None, upper: float | None = None) -> Certificate:
-        """Prove both bounds of the norm in ball arithmetic; see `synth.certify.certify`."""
-        from synth.certify import certify
+        """Prove both bounds of the norm in ball arithmetic; see `synth.proof.certify.certify`."""
+        from synth.proof.certify import certify
 
         return certify(self, lower=lower, upper=upper)
 

@@ -21,14 +21,14 @@ import numpy as np
 import scipy.linalg as sla
 from flint import arb, ctx
 
-from synth import balls
 from synth.analysis.precondition import Conditioned, precondition
-from synth.balls import Coupling, Impulse, LowerWitness, Step, UpperWitness
 from synth.equations.doubling import bounded_real, double, solve_riccati
 from synth.errors import NumericalError
 from synth.generalized import GeneralizedPlant
 from synth.hinf_riccati import RiccatiRoute
 from synth.hinfinity import discretised
+from synth.proof import balls
+from synth.proof.balls import Coupling, Impulse, LowerWitness, Step, UpperWitness
 from synth.statespace import StateSpace, cayley_rate
 
 DISTANCES = (

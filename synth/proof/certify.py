@@ -21,13 +21,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from synth import balls
-from synth.balls import Coupling, Impulse, LowerWitness, Step, UpperWitness
 from synth.errors import ModelError, VerificationError
 from synth.files import write_atomically
 from synth.generalized import GeneralizedPlant
+from synth.proof import balls
+from synth.proof.balls import Coupling, Impulse, LowerWitness, Step, UpperWitness
+from synth.proof.witnesses import find_lower, find_upper
 from synth.statespace import StateSpace
-from synth.witnesses import find_lower, find_upper
 
 if TYPE_CHECKING:
     from synth.design import Design
@@ -195,7 +195,7 @@ def certify(design: Design, *, lower: float | None = None, upper: float | None =
     References
     ----------
     Rump (2006), BIT 46, 433; Lanzon, Feng, Anderson and Rotkowitz (2008), IEEE TAC 53, 2280; the proofs are in
-    `synth.balls`.
+    `synth.proof.balls`.
     """
     started = time.perf_counter()
     P, K = design.plant, design.closing
