@@ -26,8 +26,8 @@ import numpy as np
 import scipy.linalg as sla
 
 from synth.equations.riccati import continued, stabilising, stabilising_pair
-from synth.sdc import MrpModel
-from synth.sdre import Sdre
+from synth.regulators.sdc import MrpModel
+from synth.regulators.sdre import Sdre
 
 INERTIA = np.array([[310, 1.11, 1.01], [1.11, 360, -0.35], [1.01, -0.35, 530.7]]) - 0.01911 * np.eye(3)  # kg m^2
 TORQUE, DT = 0.075, 0.05  # N m, s

@@ -32,10 +32,10 @@ from plants.outcome import figures, report, study
 from plants.outcome.study import Statement, Table, Verdict
 from plants.simulation import blocks, campaign
 from plants.simulation.loop import Loop, Run, Scenario
-from synth.controller import state_feedback
-from synth.regulator import lqr, lqrd, sampled_cost
-from synth.sdc import EulerModel
-from synth.sdre import SdreSampled, sampled_gain
+from synth.regulators.controller import state_feedback
+from synth.regulators.regulator import lqr, lqrd, sampled_cost
+from synth.regulators.sdc import EulerModel
+from synth.regulators.sdre import SdreSampled, sampled_gain
 
 LQR, SDRE, NAIVE = "LQR", "SDRE", "LQR, continuous gain held"
 DIFFERENCE, NO_RATE = "SDRE, angles and their differences", "SDRE, angles alone"

@@ -18,9 +18,9 @@ from plants.outcome.indices import clopper_pearson
 from plants.outcome.study import Statement, Table, Verdict
 from plants.simulation import campaign
 from plants.simulation.loop import Loop, Scenario
-from synth.quaternion import quaternion_lqr, quaternion_pd, quaternion_pid
-from synth.sdc import MrpModel, QuaternionModel
-from synth.sdre import Sdre, SdreHinf, SdreHinfPaperLiteral, SdreHinfStatic
+from synth.regulators.quaternion import quaternion_lqr, quaternion_pd, quaternion_pid
+from synth.regulators.sdc import MrpModel, QuaternionModel
+from synth.regulators.sdre import Sdre, SdreHinf, SdreHinfPaperLiteral, SdreHinfStatic
 
 SDRE, MRP, LQR, PD, PID = "SDRE", "SDRE, MRP", "LQR", "PD", "PID"
 LITERAL, STATIC, DYNAMIC = "SDRE + Hinf, as published", "SDRE + Hinf, static", "SDRE + Hinf, dynamic"

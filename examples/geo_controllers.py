@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from synth.controller import LinearController, state_feedback
 from synth.design import Design
 from synth.generalized import GeneralizedPlant
 from synth.hinfinity import hinfsyn
 from synth.mixedsensitivity import mixsyn
-from synth.regulator import dlqr, lqg, lqr
+from synth.regulators.controller import LinearController, state_feedback
+from synth.regulators.regulator import dlqr, lqg, lqr
 from synth.statespace import StateSpace, c2d
 
 THESIS_LQR, LQR, LQG = "LQR of the thesis", "LQR, tuned", "LQG"

@@ -31,9 +31,9 @@ from plants.missions import airbearing
 from plants.missions.airbearing import DEG, INERTIA, PERIOD, TARGET, Q, R
 from plants.outcome import report
 from plants.simulation.simulate import simulate, simulate_many
-from synth.regulator import lqr, lqrd, sampled_cost
-from synth.sdc import EulerModel
-from synth.sdre import SdreSampled
+from synth.regulators.regulator import lqr, lqrd, sampled_cost
+from synth.regulators.sdc import EulerModel
+from synth.regulators.sdre import SdreSampled
 
 DURATION, STEADY = 240.0, 180.0  # s, of a flight, and where the slowest design is steady
 

@@ -18,13 +18,8 @@ if TYPE_CHECKING:
     from synth.analysis.stabilitymargins import diskmargin as diskmargin
     from synth.analysis.stabilitymargins import margin as margin
     from synth.analysis.stabilitymargins import margins as margins
-    from synth.antiwindup import AntiWindup as AntiWindup
     from synth.command.specification import Study as Study
     from synth.command.specification import read_study as read_study
-    from synth.controller import Controller as Controller
-    from synth.controller import LinearController as LinearController
-    from synth.controller import proportional_derivative as proportional_derivative
-    from synth.controller import state_feedback as state_feedback
     from synth.delivery.acceptance import Acceptance as Acceptance
     from synth.delivery.acceptance import Requirements as Requirements
     from synth.delivery.acceptance import accept as accept
@@ -42,7 +37,6 @@ if TYPE_CHECKING:
     from synth.errors import SpecificationError as SpecificationError
     from synth.errors import SynthError as SynthError
     from synth.errors import VerificationError as VerificationError
-    from synth.export.reference import SequentialController as SequentialController
     from synth.generalized import GeneralizedPlant as GeneralizedPlant
     from synth.hinfinity import hinfsyn as hinfsyn
     from synth.loopshaping import ncfmargin as ncfmargin
@@ -56,21 +50,27 @@ if TYPE_CHECKING:
     from synth.predictive.horizon import Mpc as Mpc
     from synth.predictive.horizon import mpc as mpc
     from synth.proof.certify import Certificate as Certificate
-    from synth.quaternion import quaternion_lqr as quaternion_lqr
-    from synth.quaternion import quaternion_pd as quaternion_pd
-    from synth.quaternion import quaternion_pid as quaternion_pid
-    from synth.regulator import dlqr as dlqr
-    from synth.regulator import lqg as lqg
-    from synth.regulator import lqr as lqr
-    from synth.regulator import lqrd as lqrd
-    from synth.sdc import EulerModel as EulerModel
-    from synth.sdc import MrpModel as MrpModel
-    from synth.sdc import QuaternionModel as QuaternionModel
-    from synth.sdre import Sdre as Sdre
-    from synth.sdre import SdreHinf as SdreHinf
-    from synth.sdre import SdreHinfPaperLiteral as SdreHinfPaperLiteral
-    from synth.sdre import SdreHinfStatic as SdreHinfStatic
-    from synth.sdre import SdreSampled as SdreSampled
+    from synth.regulators.antiwindup import AntiWindup as AntiWindup
+    from synth.regulators.controller import Controller as Controller
+    from synth.regulators.controller import LinearController as LinearController
+    from synth.regulators.controller import proportional_derivative as proportional_derivative
+    from synth.regulators.controller import state_feedback as state_feedback
+    from synth.regulators.quaternion import quaternion_lqr as quaternion_lqr
+    from synth.regulators.quaternion import quaternion_pd as quaternion_pd
+    from synth.regulators.quaternion import quaternion_pid as quaternion_pid
+    from synth.regulators.regulator import dlqr as dlqr
+    from synth.regulators.regulator import lqg as lqg
+    from synth.regulators.regulator import lqr as lqr
+    from synth.regulators.regulator import lqrd as lqrd
+    from synth.regulators.sdc import EulerModel as EulerModel
+    from synth.regulators.sdc import MrpModel as MrpModel
+    from synth.regulators.sdc import QuaternionModel as QuaternionModel
+    from synth.regulators.sdre import Sdre as Sdre
+    from synth.regulators.sdre import SdreHinf as SdreHinf
+    from synth.regulators.sdre import SdreHinfPaperLiteral as SdreHinfPaperLiteral
+    from synth.regulators.sdre import SdreHinfStatic as SdreHinfStatic
+    from synth.regulators.sdre import SdreSampled as SdreSampled
+    from synth.regulators.sequential import SequentialController as SequentialController
     from synth.statespace import StateSpace as StateSpace
     from synth.statespace import c2d as c2d
     from synth.statespace import feedback as feedback
@@ -79,32 +79,32 @@ if TYPE_CHECKING:
 
 _HOME = {
     "Acceptance": "delivery.acceptance",
-    "AntiWindup": "antiwindup",
+    "AntiWindup": "regulators.antiwindup",
     "AssumptionError": "errors",
     "Certificate": "proof.certify",
-    "Controller": "controller",
+    "Controller": "regulators.controller",
     "Design": "design",
-    "EulerModel": "sdc",
+    "EulerModel": "regulators.sdc",
     "ExportError": "errors",
     "FuelMpc": "predictive.fuel",
     "Gap": "analysis.gap",
     "GeneralizedPlant": "generalized",
     "InfeasibleError": "errors",
     "Info": "design",
-    "LinearController": "controller",
+    "LinearController": "regulators.controller",
     "Margins": "analysis.stabilitymargins",
     "ModelError": "errors",
     "Mpc": "predictive.horizon",
-    "MrpModel": "sdc",
+    "MrpModel": "regulators.sdc",
     "NumericalError": "errors",
-    "QuaternionModel": "sdc",
+    "QuaternionModel": "regulators.sdc",
     "Requirements": "delivery.acceptance",
-    "Sdre": "sdre",
-    "SdreHinf": "sdre",
-    "SdreHinfPaperLiteral": "sdre",
-    "SdreHinfStatic": "sdre",
-    "SdreSampled": "sdre",
-    "SequentialController": "export.reference",
+    "Sdre": "regulators.sdre",
+    "SdreHinf": "regulators.sdre",
+    "SdreHinfPaperLiteral": "regulators.sdre",
+    "SdreHinfStatic": "regulators.sdre",
+    "SdreSampled": "regulators.sdre",
+    "SequentialController": "regulators.sequential",
     "Shaping": "design",
     "SpecificationError": "errors",
     "StateSpace": "statespace",
@@ -117,7 +117,7 @@ _HOME = {
     "care": "equations.riccati",
     "dare": "equations.riccati",
     "diskmargin": "analysis.stabilitymargins",
-    "dlqr": "regulator",
+    "dlqr": "regulators.regulator",
     "feedback": "statespace",
     "free_motion": "predictive.fuel",
     "fuel_mpc": "predictive.fuel",
@@ -126,9 +126,9 @@ _HOME = {
     "hinfnorm": "analysis.norms",
     "hinfsyn": "hinfinity",
     "lft": "statespace",
-    "lqg": "regulator",
-    "lqr": "regulator",
-    "lqrd": "regulator",
+    "lqg": "regulators.regulator",
+    "lqr": "regulators.regulator",
+    "lqrd": "regulators.regulator",
     "margin": "analysis.stabilitymargins",
     "margins": "analysis.stabilitymargins",
     "minimum_fuel": "predictive.fuel",
@@ -136,14 +136,14 @@ _HOME = {
     "mpc": "predictive.horizon",
     "ncfmargin": "loopshaping",
     "ncfsyn": "loopshaping",
-    "proportional_derivative": "controller",
-    "quaternion_lqr": "quaternion",
-    "quaternion_pd": "quaternion",
-    "quaternion_pid": "quaternion",
+    "proportional_derivative": "regulators.controller",
+    "quaternion_lqr": "regulators.quaternion",
+    "quaternion_pd": "regulators.quaternion",
+    "quaternion_pid": "regulators.quaternion",
     "read_study": "command.specification",
     "series": "statespace",
     "sigma_plot": "delivery.plots",
-    "state_feedback": "controller",
+    "state_feedback": "regulators.controller",
     "verify": "analysis.norms",
 }
 

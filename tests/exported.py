@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from literature import cubesat_model
 
-from synth.export.reference import SequentialController
+from synth.regulators.sequential import SequentialController
 
 STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-pedantic", "-Werror", "-Wconversion")
 

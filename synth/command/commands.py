@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from synth.antiwindup import AntiWindup
 from synth.delivery.modelfiles import Model, read
 from synth.design import Design
 from synth.errors import (
@@ -25,6 +24,7 @@ from synth.errors import (
     VerificationError,
 )
 from synth.generalized import GeneralizedPlant
+from synth.regulators.antiwindup import AntiWindup
 
 DONE, MISSED, BAD_INPUT, NO_CONTROLLER, NUMERICAL = range(5)
 CODES = {

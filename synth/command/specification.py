@@ -24,7 +24,6 @@ from typing import Any
 
 import numpy as np
 
-from synth.antiwindup import AntiWindup
 from synth.command.tables import Table
 from synth.delivery.acceptance import Acceptance, Requirements, accept, sampled
 from synth.delivery.modelfiles import NINE, Model, read
@@ -35,6 +34,7 @@ from synth.hinfinity import METHODS, hinfsyn
 from synth.loopshaping import METHODS as SHAPING_METHODS
 from synth.loopshaping import four_block, ncfsyn
 from synth.mixedsensitivity import augw, mixsyn
+from synth.regulators.antiwindup import AntiWindup
 from synth.statespace import StateSpace, c2d
 
 PROBLEMS = ("tracking", "generalized", "loopshaping", "mixedsensitivity")

@@ -1,6 +1,6 @@
 """A controller as C99: one header, one source, fixed sizes, no allocation, and a self test that compares bits.
 
-The arithmetic is that of `synth.export.reference`: loops over the matrices, one rounded product after another. With
+The arithmetic is that of `synth.regulators.sequential`: loops over the matrices, one rounded product after another. With
 ``-std=c99`` (or ``-ffp-contract=off``) and IEEE arithmetic the same bits come out on every processor; the self test,
 compiled in with ``-DNAME_SELF_TEST``, says whether they do on yours.
 """
@@ -15,7 +15,7 @@ import numpy as np
 
 from synth.delivery.origin import Origin, Signal
 from synth.errors import ExportError
-from synth.export.reference import SequentialController
+from synth.regulators.sequential import SequentialController
 
 SAMPLES = 32  # of the stored trace
 WIDTH = 100  # of comments

@@ -29,7 +29,7 @@ import numpy as np
 from synth.delivery.c import c_files, initializer
 from synth.delivery.origin import Origin
 from synth.errors import ExportError
-from synth.export.reference import SequentialController
+from synth.regulators.sequential import SequentialController
 
 PACKAGE = resources.files("synth.delivery.formats") / "fmi"
 HEADERS = {

@@ -88,7 +88,7 @@ def _code(design: Any, format: str, name: str, self_test: bool, **options: Any) 
     """The C files, or the FMU made of them."""
     from synth.delivery.c import c_files
     from synth.delivery.origin import origin_of
-    from synth.export.reference import SequentialController
+    from synth.regulators.sequential import SequentialController
 
     controller = SequentialController.of(design, **options)
     origin = origin_of(design, controller)

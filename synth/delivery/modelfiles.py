@@ -23,11 +23,11 @@ from typing import Any
 import numpy as np
 
 from synth import design as designs
-from synth.antiwindup import AntiWindup, as_limits
 from synth.design import Design
 from synth.errors import ModelError
 from synth.files import write_atomically
 from synth.generalized import GeneralizedPlant
+from synth.regulators.antiwindup import AntiWindup, as_limits
 from synth.statespace import StateSpace, as_matrix
 
 SYSTEM = "convex-synth system"

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import scipy.io
 
-from synth.antiwindup import AntiWindup
 from synth.delivery.modelfiles import CONTROLLER, FORMAT_VERSION
 from synth.delivery.origin import origin_of
-from synth.export.reference import controller_of
+from synth.regulators.antiwindup import AntiWindup
+from synth.regulators.sequential import controller_of
 
 
 def json_bytes(source: Any) -> bytes:

@@ -12,7 +12,7 @@ from plants.estimation.kalman import kalman
 from plants.hardware.sensors import AngleRate, AngleRateSuite
 from plants.missions import airbearing
 from plants.simulation.loop import Loop
-from synth.controller import state_feedback
+from synth.regulators.controller import state_feedback
 
 BODY, SENSORS = airbearing.BODY, airbearing.SENSORS
 H = 0.1

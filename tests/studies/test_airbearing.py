@@ -11,7 +11,7 @@ from studyrun import run
 
 from plants.missions import airbearing
 from plants.missions.airbearing import DEG
-from synth.regulator import lqrd, sampled_cost
+from synth.regulators.regulator import lqrd, sampled_cost
 
 pytestmark = pytest.mark.slow
 

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 from scipy.signal import tf2ss
 
-from synth.antiwindup import AntiWindup
-from synth.controller import LinearController
 from synth.design import Design
 from synth.errors import ModelError
 from synth.generalized import GeneralizedPlant
 from synth.hinfinity import hinfsyn
 from synth.loopshaping import ncfsyn
+from synth.regulators.antiwindup import AntiWindup
+from synth.regulators.controller import LinearController
 from synth.statespace import StateSpace, c2d
 
 

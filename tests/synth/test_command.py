@@ -11,13 +11,13 @@ import scipy.io
 from literature import GAMMA_PECORILLA2024, compleib, cubesat_pecorilla2024
 
 from synth.__main__ import main
-from synth.antiwindup import AntiWindup
 from synth.command.specification import read_study
 from synth.delivery.formats import export
 from synth.delivery.modelfiles import Model, read, save_system
 from synth.design import Design
 from synth.hinfinity import hinfsyn
 from synth.loopshaping import ncfsyn
+from synth.regulators.antiwindup import AntiWindup
 from synth.statespace import StateSpace, c2d
 
 STUDY = Path(__file__).parents[2] / "examples" / "cubesat3u.toml"

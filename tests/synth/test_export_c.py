@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 from literature import cubesat_model, cubesat_pecorilla2024
 from scipy.signal import tf2ss
 
-from synth.antiwindup import AntiWindup
-from synth.controller import LinearController
 from synth.delivery.formats import export
 from synth.design import Design
 from synth.errors import ExportError, ModelError, VerificationError
-from synth.export.reference import SequentialController
 from synth.hinfinity import hinfsyn
 from synth.loopshaping import ncfsyn
+from synth.regulators.antiwindup import AntiWindup
+from synth.regulators.controller import LinearController
+from synth.regulators.sequential import SequentialController
 from synth.statespace import StateSpace, c2d
 
 LIMIT = 3e-4  # N m

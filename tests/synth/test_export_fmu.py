@@ -19,8 +19,8 @@ from synth.delivery import fmu
 from synth.delivery.formats import export
 from synth.design import Design
 from synth.errors import ExportError
-from synth.export.reference import SequentialController
 from synth.hinfinity import hinfsyn
+from synth.regulators.sequential import SequentialController
 from synth.statespace import StateSpace
 
 LIMITS = {"umin": -3e-4, "umax": 3e-4}  # N m

@@ -9,12 +9,12 @@ import pytest
 import scipy.io
 from literature import cubesat_pecorilla2024
 
-from synth.controller import state_feedback
 from synth.delivery.formats import export
 from synth.design import Design
 from synth.errors import ExportError
-from synth.export.reference import SequentialController
 from synth.hinfinity import hinfsyn
+from synth.regulators.controller import state_feedback
+from synth.regulators.sequential import SequentialController
 from synth.statespace import StateSpace
 
 CONTINUOUS = StateSpace([[-1, 2], [0, -3]], [[0], [1]], [[1, 0]], [[0.5]])

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from synth.errors import AssumptionError, ModelError
-from synth.regulator import dlqr, lqg, lqr
+from synth.regulators.regulator import dlqr, lqg, lqr
 from synth.statespace import StateSpace, c2d, feedback
 
 

@@ -7,9 +7,9 @@ import pytest
 import scipy.linalg as sla
 
 from synth.errors import ModelError, NumericalError
-from synth.regulator import lqr, lqrd, sampled_cost
-from synth.sdc import EulerModel
-from synth.sdre import SdreSampled, sampled_gain
+from synth.regulators.regulator import lqr, lqrd, sampled_cost
+from synth.regulators.sdc import EulerModel
+from synth.regulators.sdre import SdreSampled, sampled_gain
 
 INERTIA = np.diag([1.17, 1.17, 1.13])  # kg m^2, the air-bearing study, as all numbers here
 Q, R = np.diag([1.0, 1, 1, 100, 100, 100]), 0.001 * np.eye(3)

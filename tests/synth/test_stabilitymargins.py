@@ -10,8 +10,8 @@ from literature import cubesat_model
 from synth.analysis.gap import gapmetric
 from synth.analysis.norms import is_stable
 from synth.analysis.stabilitymargins import diskmargin, margin, margins
-from synth.controller import proportional_derivative
 from synth.errors import ModelError
+from synth.regulators.controller import proportional_derivative
 from synth.statespace import StateSpace, c2d, delayed, feedback
 
 

@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from synth.antiwindup import AntiWindup, as_limits
-from synth.controller import LinearController
 from synth.design import Design
 from synth.errors import ExportError, ModelError
+from synth.regulators.antiwindup import AntiWindup, as_limits
+from synth.regulators.controller import LinearController
 from synth.statespace import StateSpace, as_matrix
 
 DTYPES = {"double": np.float64, "float": np.float32}  # C's name of the type -> NumPy's

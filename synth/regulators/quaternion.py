@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from synth.controller import LinearController, state_feedback
 from synth.errors import ModelError
-from synth.regulator import lqr
+from synth.regulators.controller import LinearController, state_feedback
+from synth.regulators.regulator import lqr
 from synth.statespace import as_matrix, as_timebase
 
 
@@ -105,7 +105,7 @@ def quaternion_lqr(inertia: Any, dt: float, *, Q: Any = None, R: Any = None) -> 
 
     Returns
     -------
-    LinearController : on the measurement of `synth.sdc`, y and r (10,), with r zero
+    LinearController : on the measurement of `synth.regulators.sdc`, y and r (10,), with r zero
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """State-dependent Riccati control: the dynamics in pseudo-linear form, and a Riccati equation at every sample.
 
-    dx = A(y) x + B(y) u        a model of `synth.sdc`, or one of your own
+    dx = A(y) x + B(y) u        a model of `synth.regulators.sdc`, or one of your own
 
 The command u regulates x to zero; r is not used, because y is the error already.
 
@@ -24,9 +24,9 @@ from jax import Array
 
 from synth.equations.riccati import closed_loop_rate, continued, discrete_stabilising, stabilising, stabilising_pair
 from synth.errors import AssumptionError, ModelError, NumericalError
-from synth.quaternion import as_period
-from synth.regulator import lqr, lqrd, sampled_cost
-from synth.sdc import Factorisation
+from synth.regulators.quaternion import as_period
+from synth.regulators.regulator import lqr, lqrd, sampled_cost
+from synth.regulators.sdc import Factorisation
 from synth.statespace import as_matrix
 
 TINY = 1e-300  # keeps 0 / 0 from being one
@@ -108,7 +108,7 @@ class SdreSampled:
     """`Sdre` for long periods: the regulator of the model sampled at y, with u held and the same integral as cost.
 
     u = -(R + G'X G)^-1 (G'X F + N') x, where X solves the discrete Riccati equation of `sampled_cost`. The gains of
-    `Sdre` are those of continuous time, which a hold can make unstable; see `synth.regulator.lqrd`.
+    `Sdre` are those of continuous time, which a hold can make unstable; see `synth.regulators.regulator.lqrd`.
     """
 
     model: Any  # Factorisation

@@ -23,7 +23,7 @@ import numpy as np
 from jax import Array
 
 from synth.errors import ModelError
-from synth.quaternion import as_inertia
+from synth.regulators.quaternion import as_inertia
 
 MEASUREMENTS = 10
 
