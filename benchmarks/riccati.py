@@ -27,8 +27,8 @@ from literature import cubesat_pecorilla2024, mass_spring_chain
 from synth.analysis.norms import hinfnorm, verify
 from synth.analysis.precondition import precondition
 from synth.generalized import GeneralizedPlant
-from synth.hinf_riccati import RiccatiRoute
 from synth.statespace import StateSpace
+from synth.synthesis.hinf_riccati import RiccatiRoute
 
 
 def design(P: GeneralizedPlant) -> tuple[list[float], float, float]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from plants.outcome.study import Statement, Verdict
 from synth.errors import AssumptionError
-from synth.mixedsensitivity import mixsyn
+from synth.synthesis.mixedsensitivity import mixsyn
 
 if TYPE_CHECKING:
     from geo import Study

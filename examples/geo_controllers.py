@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from synth.design import Design
 from synth.generalized import GeneralizedPlant
-from synth.hinfinity import hinfsyn
-from synth.mixedsensitivity import mixsyn
 from synth.regulators.controller import LinearController, state_feedback
 from synth.regulators.regulator import dlqr, lqg, lqr
 from synth.statespace import StateSpace, c2d
+from synth.synthesis.design import Design
+from synth.synthesis.hinfinity import hinfsyn
+from synth.synthesis.mixedsensitivity import mixsyn
 
 THESIS_LQR, LQR, LQG = "LQR of the thesis", "LQR, tuned", "LQG"
 MIXED, MIXED_TUNED, FOUR_BLOCK = "H-infinity of the thesis", "H-infinity, tuned", "H-infinity, four blocks"

@@ -24,9 +24,6 @@ if TYPE_CHECKING:
     from synth.delivery.acceptance import Requirements as Requirements
     from synth.delivery.acceptance import accept as accept
     from synth.delivery.plots import sigma_plot as sigma_plot
-    from synth.design import Design as Design
-    from synth.design import Info as Info
-    from synth.design import Shaping as Shaping
     from synth.equations.riccati import care as care
     from synth.equations.riccati import dare as dare
     from synth.errors import AssumptionError as AssumptionError
@@ -38,11 +35,6 @@ if TYPE_CHECKING:
     from synth.errors import SynthError as SynthError
     from synth.errors import VerificationError as VerificationError
     from synth.generalized import GeneralizedPlant as GeneralizedPlant
-    from synth.hinfinity import hinfsyn as hinfsyn
-    from synth.loopshaping import ncfmargin as ncfmargin
-    from synth.loopshaping import ncfsyn as ncfsyn
-    from synth.mixedsensitivity import augw as augw
-    from synth.mixedsensitivity import mixsyn as mixsyn
     from synth.predictive.fuel import FuelMpc as FuelMpc
     from synth.predictive.fuel import free_motion as free_motion
     from synth.predictive.fuel import fuel_mpc as fuel_mpc
@@ -76,6 +68,14 @@ if TYPE_CHECKING:
     from synth.statespace import feedback as feedback
     from synth.statespace import lft as lft
     from synth.statespace import series as series
+    from synth.synthesis.design import Design as Design
+    from synth.synthesis.design import Info as Info
+    from synth.synthesis.design import Shaping as Shaping
+    from synth.synthesis.hinfinity import hinfsyn as hinfsyn
+    from synth.synthesis.loopshaping import ncfmargin as ncfmargin
+    from synth.synthesis.loopshaping import ncfsyn as ncfsyn
+    from synth.synthesis.mixedsensitivity import augw as augw
+    from synth.synthesis.mixedsensitivity import mixsyn as mixsyn
 
 _HOME = {
     "Acceptance": "delivery.acceptance",
@@ -83,14 +83,14 @@ _HOME = {
     "AssumptionError": "errors",
     "Certificate": "proof.certify",
     "Controller": "regulators.controller",
-    "Design": "design",
+    "Design": "synthesis.design",
     "EulerModel": "regulators.sdc",
     "ExportError": "errors",
     "FuelMpc": "predictive.fuel",
     "Gap": "analysis.gap",
     "GeneralizedPlant": "generalized",
     "InfeasibleError": "errors",
-    "Info": "design",
+    "Info": "synthesis.design",
     "LinearController": "regulators.controller",
     "Margins": "analysis.stabilitymargins",
     "ModelError": "errors",
@@ -105,14 +105,14 @@ _HOME = {
     "SdreHinfStatic": "regulators.sdre",
     "SdreSampled": "regulators.sdre",
     "SequentialController": "regulators.sequential",
-    "Shaping": "design",
+    "Shaping": "synthesis.design",
     "SpecificationError": "errors",
     "StateSpace": "statespace",
     "Study": "command.specification",
     "SynthError": "errors",
     "VerificationError": "errors",
     "accept": "delivery.acceptance",
-    "augw": "mixedsensitivity",
+    "augw": "synthesis.mixedsensitivity",
     "c2d": "statespace",
     "care": "equations.riccati",
     "dare": "equations.riccati",
@@ -124,7 +124,7 @@ _HOME = {
     "gapmetric": "analysis.gap",
     "h2norm": "analysis.norms",
     "hinfnorm": "analysis.norms",
-    "hinfsyn": "hinfinity",
+    "hinfsyn": "synthesis.hinfinity",
     "lft": "statespace",
     "lqg": "regulators.regulator",
     "lqr": "regulators.regulator",
@@ -132,10 +132,10 @@ _HOME = {
     "margin": "analysis.stabilitymargins",
     "margins": "analysis.stabilitymargins",
     "minimum_fuel": "predictive.fuel",
-    "mixsyn": "mixedsensitivity",
+    "mixsyn": "synthesis.mixedsensitivity",
     "mpc": "predictive.horizon",
-    "ncfmargin": "loopshaping",
-    "ncfsyn": "loopshaping",
+    "ncfmargin": "synthesis.loopshaping",
+    "ncfsyn": "synthesis.loopshaping",
     "proportional_derivative": "regulators.controller",
     "quaternion_lqr": "regulators.quaternion",
     "quaternion_pd": "regulators.quaternion",

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from synth.delivery.modelfiles import Model, read
-from synth.design import Design
 from synth.errors import (
     AssumptionError,
     ExportError,
@@ -25,6 +24,7 @@ from synth.errors import (
 )
 from synth.generalized import GeneralizedPlant
 from synth.regulators.antiwindup import AntiWindup
+from synth.synthesis.design import Design
 
 DONE, MISSED, BAD_INPUT, NO_CONTROLLER, NUMERICAL = range(5)
 CODES = {
@@ -194,7 +194,7 @@ def verify(options: argparse.Namespace) -> int:
 
 def plant_of(item: Any, file: str, negative: bool) -> GeneralizedPlant:
     """A generalised plant, or the four-block problem of a plain one."""
-    from synth.loopshaping import four_block
+    from synth.synthesis.loopshaping import four_block
 
     if isinstance(item, Design):
         item = item.plant

@@ -14,11 +14,11 @@ from synth.analysis.norms import balance
 from synth.analysis.stabilitymargins import margins
 from synth.delivery.acceptance import inner
 from synth.delivery.plots import frequencies, sigma, sigma_plot
-from synth.design import Design
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.files import write_atomically
-from synth.loopshaping import ncfmargin
 from synth.statespace import StateSpace, series
+from synth.synthesis.design import Design
+from synth.synthesis.loopshaping import ncfmargin
 
 MEASURES: dict[str, tuple[str, str]] = {  # key -> (text, what it is)
     "order": ("controller order", "states of the controller"),

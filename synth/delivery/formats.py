@@ -73,7 +73,7 @@ def export(
 def _documents(design: Any, format: str, name: str) -> dict[str, bytes]:
     """The design, or a controller without a plant, as data."""
     from synth.delivery import matlab, plain
-    from synth.design import Design, json_bytes
+    from synth.synthesis.design import Design, json_bytes
 
     if not isinstance(design, Design):
         content = plain.json_bytes(design) if format == "json" else plain.mat_bytes(design)

@@ -12,12 +12,12 @@ import numpy as np
 import scipy.io
 
 if TYPE_CHECKING:
-    from synth.design import Design
+    from synth.synthesis.design import Design
 
 
 def mat_bytes(design: Design) -> bytes:
     """The content of the .mat file."""
-    from synth.design import to_dict
+    from synth.synthesis.design import to_dict
 
     data = to_dict(design)
     plant = {name: np.asarray(value, dtype=float) for name, value in data["plant"].items() if name[0] in "ABCD"}

@@ -22,13 +22,13 @@ from typing import Any
 
 import numpy as np
 
-from synth import design as designs
-from synth.design import Design
 from synth.errors import ModelError
 from synth.files import write_atomically
 from synth.generalized import GeneralizedPlant
 from synth.regulators.antiwindup import AntiWindup, as_limits
 from synth.statespace import StateSpace, as_matrix
+from synth.synthesis import design as designs
+from synth.synthesis.design import Design
 
 SYSTEM = "convex-synth system"
 CONTROLLER = "convex-synth controller"

@@ -11,11 +11,11 @@ from importlib import metadata
 from typing import Any, NamedTuple
 
 from synth.analysis.norms import verify
-from synth.design import Design
 from synth.errors import ExportError
 from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.controller import LinearController
 from synth.regulators.sequential import SequentialController, controller_of
+from synth.synthesis.design import Design
 
 FORBIDDEN = ("*/", "/*", "\\", "??")  # ends or opens a comment in C, continues a line, begins a trigraph
 

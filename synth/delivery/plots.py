@@ -14,7 +14,7 @@ from synth.errors import ModelError
 from synth.statespace import StateSpace
 
 if TYPE_CHECKING:
-    from synth.design import Design
+    from synth.synthesis.design import Design
 
 POINTS = 400  # frequencies of a curve
 PEAK = 1e3  # times the highest of them: a peak beyond is not shown

@@ -30,7 +30,7 @@ from synth.proof.witnesses import find_lower, find_upper
 from synth.statespace import StateSpace
 
 if TYPE_CHECKING:
-    from synth.design import Design
+    from synth.synthesis.design import Design
 
 FORMAT = "convex-synth certificate"
 FORMAT_VERSION = 1

@@ -25,11 +25,11 @@ from synth.analysis.precondition import Conditioned, precondition
 from synth.equations.doubling import bounded_real, double, solve_riccati
 from synth.errors import NumericalError
 from synth.generalized import GeneralizedPlant
-from synth.hinf_riccati import RiccatiRoute
-from synth.hinfinity import discretised
 from synth.proof import balls
 from synth.proof.balls import Coupling, Impulse, LowerWitness, Step, UpperWitness
 from synth.statespace import StateSpace, cayley_rate
+from synth.synthesis.hinf_riccati import RiccatiRoute
+from synth.synthesis.hinfinity import discretised
 
 DISTANCES = (
     2e-7,

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from synth.design import Design
 from synth.errors import ModelError
+from synth.synthesis.design import Design
 
 OBSERVER = 1e-8  # relative mismatch of the controller's dynamics with those of an observer of the plant
 INVERTIBLE = 1e-12  # relative distance of the direct term of W1 to singular

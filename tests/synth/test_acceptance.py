@@ -7,14 +7,14 @@ from literature import compleib, cubesat_pecorilla2024
 from synth.analysis.norms import hinfnorm
 from synth.analysis.stabilitymargins import margins
 from synth.delivery.acceptance import Acceptance, Requirements, accept, inner, simulate
-from synth.design import Design
 from synth.errors import ModelError
 from synth.generalized import GeneralizedPlant
-from synth.hinfinity import hinfsyn
-from synth.loopshaping import four_block, ncfsyn
 from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.sequential import SequentialController
 from synth.statespace import StateSpace, c2d, delayed
+from synth.synthesis.design import Design
+from synth.synthesis.hinfinity import hinfsyn
+from synth.synthesis.loopshaping import four_block, ncfsyn
 
 
 @pytest.fixture(scope="module")

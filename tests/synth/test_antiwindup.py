@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 from scipy.signal import tf2ss
 
-from synth.design import Design
 from synth.errors import ModelError
 from synth.generalized import GeneralizedPlant
-from synth.hinfinity import hinfsyn
-from synth.loopshaping import ncfsyn
 from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.controller import LinearController
 from synth.statespace import StateSpace, c2d
+from synth.synthesis.design import Design
+from synth.synthesis.hinfinity import hinfsyn
+from synth.synthesis.loopshaping import ncfsyn
 
 
 def tf(num, den) -> StateSpace:

@@ -14,11 +14,11 @@ from synth.__main__ import main
 from synth.command.specification import read_study
 from synth.delivery.formats import export
 from synth.delivery.modelfiles import Model, read, save_system
-from synth.design import Design
-from synth.hinfinity import hinfsyn
-from synth.loopshaping import ncfsyn
 from synth.regulators.antiwindup import AntiWindup
 from synth.statespace import StateSpace, c2d
+from synth.synthesis.design import Design
+from synth.synthesis.hinfinity import hinfsyn
+from synth.synthesis.loopshaping import ncfsyn
 
 STUDY = Path(__file__).parents[2] / "examples" / "cubesat3u.toml"
 

@@ -7,9 +7,9 @@ import pytest
 import scipy.io
 from literature import cubesat_pecorilla2024
 
-from synth.design import Design, to_dict
 from synth.errors import ModelError, VerificationError
-from synth.hinfinity import hinfsyn
+from synth.synthesis.design import Design, to_dict
+from synth.synthesis.hinfinity import hinfsyn
 
 
 @pytest.fixture(scope="module")

@@ -13,14 +13,14 @@ from literature import cubesat_model, cubesat_pecorilla2024
 from scipy.signal import tf2ss
 
 from synth.delivery.formats import export
-from synth.design import Design
 from synth.errors import ExportError, ModelError, VerificationError
-from synth.hinfinity import hinfsyn
-from synth.loopshaping import ncfsyn
 from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.controller import LinearController
 from synth.regulators.sequential import SequentialController
 from synth.statespace import StateSpace, c2d
+from synth.synthesis.design import Design
+from synth.synthesis.hinfinity import hinfsyn
+from synth.synthesis.loopshaping import ncfsyn
 
 LIMIT = 3e-4  # N m
 STABLE = StateSpace([[0.5, 0.1], [0, 0.3]], [[1], [1]], [[1, 2]], [[0.5]], 0.1)

@@ -17,11 +17,11 @@ from literature import cubesat_pecorilla2024
 
 from synth.delivery import fmu
 from synth.delivery.formats import export
-from synth.design import Design
 from synth.errors import ExportError
-from synth.hinfinity import hinfsyn
 from synth.regulators.sequential import SequentialController
 from synth.statespace import StateSpace
+from synth.synthesis.design import Design
+from synth.synthesis.hinfinity import hinfsyn
 
 LIMITS = {"umin": -3e-4, "umax": 3e-4}  # N m
 WRAPPER = ("-Wno-unused-parameter",)  # the standard fixes the signatures

@@ -10,12 +10,12 @@ import scipy.io
 from literature import cubesat_pecorilla2024
 
 from synth.delivery.formats import export
-from synth.design import Design
 from synth.errors import ExportError
-from synth.hinfinity import hinfsyn
 from synth.regulators.controller import state_feedback
 from synth.regulators.sequential import SequentialController
 from synth.statespace import StateSpace
+from synth.synthesis.design import Design
+from synth.synthesis.hinfinity import hinfsyn
 
 CONTINUOUS = StateSpace([[-1, 2], [0, -3]], [[0], [1]], [[1, 0]], [[0.5]])
 

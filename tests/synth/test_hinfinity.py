@@ -7,13 +7,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from literature import GAMMA_PECORILLA2024, compleib, cubesat_pecorilla2024, random_plant
 
-from synth import hinfinity
 from synth.analysis.norms import hinfnorm, is_stable
 from synth.analysis.precondition import precondition
 from synth.errors import AssumptionError, InfeasibleError, ModelError, NumericalError
 from synth.generalized import GeneralizedPlant
-from synth.hinfinity import hinfsyn
 from synth.statespace import StateSpace, lft
+from synth.synthesis import hinfinity
+from synth.synthesis.hinfinity import hinfsyn
 
 GAMMA_TOLERANCE = {"lmi": 1e-6, "riccati": 1e-6, "standard": 2e-5, "extended": 2e-5}  # relative
 

@@ -12,8 +12,8 @@ from synth.analysis.norms import hinfnorm
 from synth.analysis.precondition import check_assumptions, precondition
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.generalized import GeneralizedPlant
-from synth.hinf_riccati import RiccatiRoute
 from synth.statespace import StateSpace
+from synth.synthesis.hinf_riccati import RiccatiRoute
 
 seeds = st.integers(0, 10**6)
 deficiencies = st.sampled_from(["none", "D12", "D21", "both"])

@@ -22,11 +22,11 @@ import numpy as np
 
 from synth.analysis.norms import Verification, verify
 from synth.analysis.precondition import check_assumptions, precondition
-from synth.design import Design, Info
 from synth.errors import InfeasibleError, ModelError, NumericalError, SynthError
 from synth.files import provenance
 from synth.generalized import GeneralizedPlant
 from synth.statespace import StateSpace, cayley, cayley_rate, inverse_cayley
+from synth.synthesis.design import Design, Info
 from synth.threads import one_thread
 
 METHODS = ("auto", "lmi", "riccati", "standard", "extended")
@@ -236,7 +236,7 @@ def order_of_routes(method: str, n: int) -> tuple[str, ...]:
 def make_route(name: str, plant: GeneralizedPlant) -> Route:
     """The method of that name on a conditioned plant; CVXPY is imported here, when it is needed."""
     if name == "riccati":
-        from synth.hinf_riccati import RiccatiRoute
+        from synth.synthesis.hinf_riccati import RiccatiRoute
 
         return RiccatiRoute.of(plant)
     if name == "lmi":

@@ -28,12 +28,12 @@ import numpy as np
 from synth.analysis.coprime import Solutions, balanced, closed_loop_moduli, discretised, solutions
 from synth.analysis.norms import balance, is_stable, verify
 from synth.analysis.precondition import check_assumptions
-from synth.design import Design, Info, Shaping
 from synth.equations.doubling import FINAL_RESIDUAL
 from synth.errors import InfeasibleError, ModelError, NumericalError, VerificationError
 from synth.files import provenance
 from synth.generalized import GeneralizedPlant
 from synth.statespace import StateSpace, as_matrix, common_timebase, series
+from synth.synthesis.design import Design, Info, Shaping
 from synth.threads import one_thread
 
 METHODS = ("lmi", "riccati")
