@@ -26,9 +26,9 @@ from literature import cubesat_pecorilla2024, mass_spring_chain
 
 from synth.analysis.norms import hinfnorm, verify
 from synth.analysis.precondition import precondition
-from synth.generalized import GeneralizedPlant
-from synth.statespace import StateSpace
 from synth.synthesis.hinf_riccati import RiccatiRoute
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace
 
 
 def design(P: GeneralizedPlant) -> tuple[list[float], float, float]:

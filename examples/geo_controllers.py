@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from synth.generalized import GeneralizedPlant
 from synth.regulators.controller import LinearController, state_feedback
 from synth.regulators.regulator import dlqr, lqg, lqr
-from synth.statespace import StateSpace, c2d
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import hinfsyn
 from synth.synthesis.mixedsensitivity import mixsyn
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace, c2d
 
 THESIS_LQR, LQR, LQG = "LQR of the thesis", "LQR, tuned", "LQG"
 MIXED, MIXED_TUNED, FOUR_BLOCK = "H-infinity of the thesis", "H-infinity, tuned", "H-infinity, four blocks"

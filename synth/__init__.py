@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from synth.errors import SpecificationError as SpecificationError
     from synth.errors import SynthError as SynthError
     from synth.errors import VerificationError as VerificationError
-    from synth.generalized import GeneralizedPlant as GeneralizedPlant
     from synth.predictive.fuel import FuelMpc as FuelMpc
     from synth.predictive.fuel import free_motion as free_motion
     from synth.predictive.fuel import fuel_mpc as fuel_mpc
@@ -63,11 +62,6 @@ if TYPE_CHECKING:
     from synth.regulators.sdre import SdreHinfStatic as SdreHinfStatic
     from synth.regulators.sdre import SdreSampled as SdreSampled
     from synth.regulators.sequential import SequentialController as SequentialController
-    from synth.statespace import StateSpace as StateSpace
-    from synth.statespace import c2d as c2d
-    from synth.statespace import feedback as feedback
-    from synth.statespace import lft as lft
-    from synth.statespace import series as series
     from synth.synthesis.design import Design as Design
     from synth.synthesis.design import Info as Info
     from synth.synthesis.design import Shaping as Shaping
@@ -76,6 +70,12 @@ if TYPE_CHECKING:
     from synth.synthesis.loopshaping import ncfsyn as ncfsyn
     from synth.synthesis.mixedsensitivity import augw as augw
     from synth.synthesis.mixedsensitivity import mixsyn as mixsyn
+    from synth.systems.generalized import GeneralizedPlant as GeneralizedPlant
+    from synth.systems.statespace import StateSpace as StateSpace
+    from synth.systems.statespace import c2d as c2d
+    from synth.systems.statespace import feedback as feedback
+    from synth.systems.statespace import lft as lft
+    from synth.systems.statespace import series as series
 
 _HOME = {
     "Acceptance": "delivery.acceptance",
@@ -88,7 +88,7 @@ _HOME = {
     "ExportError": "errors",
     "FuelMpc": "predictive.fuel",
     "Gap": "analysis.gap",
-    "GeneralizedPlant": "generalized",
+    "GeneralizedPlant": "systems.generalized",
     "InfeasibleError": "errors",
     "Info": "synthesis.design",
     "LinearController": "regulators.controller",
@@ -107,25 +107,25 @@ _HOME = {
     "SequentialController": "regulators.sequential",
     "Shaping": "synthesis.design",
     "SpecificationError": "errors",
-    "StateSpace": "statespace",
+    "StateSpace": "systems.statespace",
     "Study": "command.specification",
     "SynthError": "errors",
     "VerificationError": "errors",
     "accept": "delivery.acceptance",
     "augw": "synthesis.mixedsensitivity",
-    "c2d": "statespace",
+    "c2d": "systems.statespace",
     "care": "equations.riccati",
     "dare": "equations.riccati",
     "diskmargin": "analysis.stabilitymargins",
     "dlqr": "regulators.regulator",
-    "feedback": "statespace",
+    "feedback": "systems.statespace",
     "free_motion": "predictive.fuel",
     "fuel_mpc": "predictive.fuel",
     "gapmetric": "analysis.gap",
     "h2norm": "analysis.norms",
     "hinfnorm": "analysis.norms",
     "hinfsyn": "synthesis.hinfinity",
-    "lft": "statespace",
+    "lft": "systems.statespace",
     "lqg": "regulators.regulator",
     "lqr": "regulators.regulator",
     "lqrd": "regulators.regulator",
@@ -141,7 +141,7 @@ _HOME = {
     "quaternion_pd": "regulators.quaternion",
     "quaternion_pid": "regulators.quaternion",
     "read_study": "command.specification",
-    "series": "statespace",
+    "series": "systems.statespace",
     "sigma_plot": "delivery.plots",
     "state_feedback": "regulators.controller",
     "verify": "analysis.norms",

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from synth.generalized import GeneralizedPlant
-from synth.statespace import StateSpace, c2d
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace, c2d
 
 DATA = Path(__file__).parent / "data"
 

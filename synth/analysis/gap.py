@@ -27,8 +27,8 @@ from synth.analysis.norms import balance, hinfnorm, spectral_radius
 from synth.analysis.precondition import check_assumptions
 from synth.equations.doubling import is_positive, solve_riccati
 from synth.errors import ModelError
-from synth.statespace import StateSpace, common_timebase, series
 from synth.synthesis.loopshaping import four_block
+from synth.systems.statespace import StateSpace, common_timebase, series
 
 TOLERANCE = 1e-9  # of the gap, absolute
 

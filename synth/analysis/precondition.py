@@ -19,8 +19,8 @@ import scipy.linalg as sla
 
 from synth.equations.doubling import Riccati, is_nonnegative, is_positive, solve_riccati
 from synth.errors import AssumptionError, ModelError, NumericalError
-from synth.generalized import GeneralizedPlant
-from synth.statespace import StateSpace
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace
 
 REGULARISATIONS = (1e-4, 1e-3, 1e-2, 1e-1)  # of LQR and Kalman, relative to the balanced plant
 FLOOR = 1e-8  # relative, on the singular values of the state transform

@@ -22,9 +22,9 @@ from synth.errors import (
     SynthError,
     VerificationError,
 )
-from synth.generalized import GeneralizedPlant
 from synth.regulators.antiwindup import AntiWindup
 from synth.synthesis.design import Design
+from synth.systems.generalized import GeneralizedPlant
 
 DONE, MISSED, BAD_INPUT, NO_CONTROLLER, NUMERICAL = range(5)
 CODES = {

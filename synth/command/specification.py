@@ -28,14 +28,14 @@ from synth.command.tables import Table
 from synth.delivery.acceptance import Acceptance, Requirements, accept, sampled
 from synth.delivery.modelfiles import NINE, Model, read
 from synth.errors import ModelError, SpecificationError, SynthError
-from synth.generalized import GeneralizedPlant
 from synth.regulators.antiwindup import AntiWindup
-from synth.statespace import StateSpace, c2d
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import METHODS, hinfsyn
 from synth.synthesis.loopshaping import METHODS as SHAPING_METHODS
 from synth.synthesis.loopshaping import four_block, ncfsyn
 from synth.synthesis.mixedsensitivity import augw, mixsyn
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace, c2d
 
 PROBLEMS = ("tracking", "generalized", "loopshaping", "mixedsensitivity")
 TRACKING = {"Wproc": "u", "Wdist": "y", "Werr": "y", "Wact": "u", "Wr": "y"}  # weight -> signals of the plant

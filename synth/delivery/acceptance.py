@@ -25,11 +25,11 @@ import numpy as np
 from synth.analysis.norms import is_stable, spectral_radius, verify
 from synth.analysis.stabilitymargins import Margins, margins
 from synth.errors import ExportError, ModelError, SynthError
-from synth.generalized import GeneralizedPlant
 from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.sequential import SequentialController
-from synth.statespace import StateSpace, c2d, common_timebase, delayed
 from synth.synthesis.design import Design
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace, c2d, common_timebase, delayed
 from synth.threads import one_thread
 
 RETURNED = 1e-2  # of the linear response's peak

@@ -16,9 +16,9 @@ from synth.delivery.acceptance import inner
 from synth.delivery.plots import frequencies, sigma, sigma_plot
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.files import write_atomically
-from synth.statespace import StateSpace, series
 from synth.synthesis.design import Design
 from synth.synthesis.loopshaping import ncfmargin
+from synth.systems.statespace import StateSpace, series
 
 MEASURES: dict[str, tuple[str, str]] = {  # key -> (text, what it is)
     "order": ("controller order", "states of the controller"),

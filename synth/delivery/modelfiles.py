@@ -24,11 +24,11 @@ import numpy as np
 
 from synth.errors import ModelError
 from synth.files import write_atomically
-from synth.generalized import GeneralizedPlant
 from synth.regulators.antiwindup import AntiWindup, as_limits
-from synth.statespace import StateSpace, as_matrix
 from synth.synthesis import design as designs
 from synth.synthesis.design import Design
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace, as_matrix
 
 SYSTEM = "convex-synth system"
 CONTROLLER = "convex-synth controller"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from synth.errors import ModelError
-from synth.statespace import StateSpace
+from synth.systems.statespace import StateSpace
 
 if TYPE_CHECKING:
     from synth.synthesis.design import Design

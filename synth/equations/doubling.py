@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from synth.statespace import StateSpace
+from synth.systems.statespace import StateSpace
 
 MAX_STEPS = 50  # 2^50 samples: slower convergence than that is a mode on the unit circle
 CONVERGED = 1e-8  # the next step squares it

@@ -17,7 +17,7 @@ import cvxpy as cp
 import numpy as np
 
 from synth.lmi.solve import solve, staircase
-from synth.statespace import StateSpace
+from synth.systems.statespace import StateSpace
 
 
 def optimal_level(G: StateSpace) -> tuple[float, str]:

@@ -15,10 +15,10 @@ import numpy as np
 import scipy.linalg as sla
 
 from synth.errors import NumericalError
-from synth.generalized import GeneralizedPlant
 from synth.lmi.loops import recover
 from synth.lmi.solve import BACKOFF, TOLERANCE, solve, staircase, value
-from synth.statespace import StateSpace
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace
 
 LARGEST = 1e5  # bound on the eigenvalues of R and S in balanced coordinates, where their natural size is one
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from synth.lmi.loops import Loop, OutputFeedback
 from synth.lmi.solve import BACKOFF, TOLERANCE, solve, staircase, value
-from synth.statespace import StateSpace
+from synth.systems.statespace import StateSpace
 
 
 def hinf(loop: Loop, g):

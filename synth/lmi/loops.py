@@ -21,8 +21,8 @@ import cvxpy as cp
 import numpy as np
 
 from synth.errors import NumericalError
-from synth.generalized import GeneralizedPlant
-from synth.statespace import StateSpace
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ import scipy.linalg as sla
 from synth.errors import ModelError, NumericalError
 from synth.predictive.horizon import count, limits
 from synth.predictive.parametriclp import ParametricLp, canonicalise
-from synth.statespace import StateSpace, as_matrix, c2d
+from synth.systems.statespace import StateSpace, as_matrix, c2d
 
 if TYPE_CHECKING:
     import cvxpy as cp

@@ -27,7 +27,7 @@ import numpy as np
 
 from synth.errors import ModelError, NumericalError
 from synth.predictive.parametricqp import CLARABEL_SETTINGS, ParametricQp, canonicalise
-from synth.statespace import StateSpace, as_matrix
+from synth.systems.statespace import StateSpace, as_matrix
 
 if TYPE_CHECKING:
     import cvxpy as cp

@@ -23,11 +23,11 @@ import numpy as np
 
 from synth.errors import ModelError, VerificationError
 from synth.files import write_atomically
-from synth.generalized import GeneralizedPlant
 from synth.proof import balls
 from synth.proof.balls import Coupling, Impulse, LowerWitness, Step, UpperWitness
 from synth.proof.witnesses import find_lower, find_upper
-from synth.statespace import StateSpace
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace
 
 if TYPE_CHECKING:
     from synth.synthesis.design import Design

@@ -24,12 +24,12 @@ from flint import arb, ctx
 from synth.analysis.precondition import Conditioned, precondition
 from synth.equations.doubling import bounded_real, double, solve_riccati
 from synth.errors import NumericalError
-from synth.generalized import GeneralizedPlant
 from synth.proof import balls
 from synth.proof.balls import Coupling, Impulse, LowerWitness, Step, UpperWitness
-from synth.statespace import StateSpace, cayley_rate
 from synth.synthesis.hinf_riccati import RiccatiRoute
 from synth.synthesis.hinfinity import discretised
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace, cayley_rate
 
 DISTANCES = (
     2e-7,

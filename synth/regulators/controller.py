@@ -18,7 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from synth.errors import ModelError
-from synth.statespace import StateSpace, as_matrix, as_timebase
+from synth.systems.statespace import StateSpace, as_matrix, as_timebase
 
 
 class Controller(Protocol):

@@ -19,7 +19,7 @@ import numpy as np
 from synth.errors import ModelError
 from synth.regulators.controller import LinearController, state_feedback
 from synth.regulators.regulator import lqr
-from synth.statespace import as_matrix, as_timebase
+from synth.systems.statespace import as_matrix, as_timebase
 
 
 @dataclass(frozen=True, kw_only=True)

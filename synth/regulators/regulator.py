@@ -13,8 +13,8 @@ import scipy.linalg as sla
 
 from synth.analysis.precondition import check_assumptions
 from synth.errors import AssumptionError, ModelError, NumericalError
-from synth.generalized import GeneralizedPlant
-from synth.statespace import StateSpace, as_matrix
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace, as_matrix
 
 SYMMETRIC = 1e-12  # relative
 UNSEEN = 1e-10  # relative singular value below which a mode on the boundary is not seen

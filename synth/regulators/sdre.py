@@ -27,7 +27,7 @@ from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.regulators.quaternion import as_period
 from synth.regulators.regulator import lqr, lqrd, sampled_cost
 from synth.regulators.sdc import Factorisation
-from synth.statespace import as_matrix
+from synth.systems.statespace import as_matrix
 
 TINY = 1e-300  # keeps 0 / 0 from being one
 SQUARINGS = 20  # of a matrix for its spectral radius, which is then right to 4e-7

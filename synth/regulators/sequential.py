@@ -21,8 +21,8 @@ import numpy as np
 from synth.errors import ExportError, ModelError
 from synth.regulators.antiwindup import AntiWindup, as_limits
 from synth.regulators.controller import LinearController
-from synth.statespace import StateSpace, as_matrix
 from synth.synthesis.design import Design
+from synth.systems.statespace import StateSpace, as_matrix
 
 DTYPES = {"double": np.float64, "float": np.float32}  # C's name of the type -> NumPy's
 INTEGRATES = 1e-9  # a pole no further than this outside the unit circle is one of an integrator

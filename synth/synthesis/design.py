@@ -19,8 +19,8 @@ import numpy as np
 from synth.analysis.norms import verify
 from synth.errors import ModelError, VerificationError
 from synth.files import write_atomically
-from synth.generalized import GeneralizedPlant
-from synth.statespace import StateSpace, series
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace, series
 
 if TYPE_CHECKING:
     import control

@@ -22,8 +22,8 @@ import scipy.linalg as sla
 from synth.analysis.precondition import regularised_lqr
 from synth.equations.doubling import Riccati, is_nonnegative, is_positive, solve_riccati
 from synth.errors import NumericalError
-from synth.generalized import GeneralizedPlant
-from synth.statespace import StateSpace
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace
 
 REGULARISATIONS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # relative to the scaled plant
 BACKOFF = (*(1e-5 * 4.0**k for k in range(6)), 0.1, 1.0, 10.0, 1e2, 1e3)  # the last ones where the optimum is zero

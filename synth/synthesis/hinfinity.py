@@ -24,9 +24,9 @@ from synth.analysis.norms import Verification, verify
 from synth.analysis.precondition import check_assumptions, precondition
 from synth.errors import InfeasibleError, ModelError, NumericalError, SynthError
 from synth.files import provenance
-from synth.generalized import GeneralizedPlant
-from synth.statespace import StateSpace, cayley, cayley_rate, inverse_cayley
 from synth.synthesis.design import Design, Info
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace, cayley, cayley_rate, inverse_cayley
 from synth.threads import one_thread
 
 METHODS = ("auto", "lmi", "riccati", "standard", "extended")

@@ -31,9 +31,9 @@ from synth.analysis.precondition import check_assumptions
 from synth.equations.doubling import FINAL_RESIDUAL
 from synth.errors import InfeasibleError, ModelError, NumericalError, VerificationError
 from synth.files import provenance
-from synth.generalized import GeneralizedPlant
-from synth.statespace import StateSpace, as_matrix, common_timebase, series
 from synth.synthesis.design import Design, Info, Shaping
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace, as_matrix, common_timebase, series
 from synth.threads import one_thread
 
 METHODS = ("lmi", "riccati")

@@ -8,13 +8,13 @@ from synth.analysis.norms import hinfnorm
 from synth.analysis.stabilitymargins import margins
 from synth.delivery.acceptance import Acceptance, Requirements, accept, inner, simulate
 from synth.errors import ModelError
-from synth.generalized import GeneralizedPlant
 from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.sequential import SequentialController
-from synth.statespace import StateSpace, c2d, delayed
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import hinfsyn
 from synth.synthesis.loopshaping import four_block, ncfsyn
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace, c2d, delayed
 
 
 @pytest.fixture(scope="module")

@@ -6,13 +6,13 @@ import pytest
 from scipy.signal import tf2ss
 
 from synth.errors import ModelError
-from synth.generalized import GeneralizedPlant
 from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.controller import LinearController
-from synth.statespace import StateSpace, c2d
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import hinfsyn
 from synth.synthesis.loopshaping import ncfsyn
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace, c2d
 
 
 def tf(num, den) -> StateSpace:

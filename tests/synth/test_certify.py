@@ -9,13 +9,13 @@ from literature import GAMMA_PECORILLA2024, compleib, cubesat_pecorilla2024, mas
 
 from synth.analysis.norms import hinfnorm
 from synth.errors import ModelError, VerificationError
-from synth.generalized import GeneralizedPlant
 from synth.proof.balls import Coupling, Impulse, Step, proves_lower
 from synth.proof.certify import Certificate, certify
-from synth.statespace import StateSpace
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import hinfsyn
 from synth.synthesis.loopshaping import ncfsyn
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace
 
 PROVED_PECORILLA2024 = (4.1579245945e-6, 4.157929852e-6)  # both bounds proved with semidefinite programmes
 

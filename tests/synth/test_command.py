@@ -15,10 +15,10 @@ from synth.command.specification import read_study
 from synth.delivery.formats import export
 from synth.delivery.modelfiles import Model, read, save_system
 from synth.regulators.antiwindup import AntiWindup
-from synth.statespace import StateSpace, c2d
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import hinfsyn
 from synth.synthesis.loopshaping import ncfsyn
+from synth.systems.statespace import StateSpace, c2d
 
 STUDY = Path(__file__).parents[2] / "examples" / "cubesat3u.toml"
 

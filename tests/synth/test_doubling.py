@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from synth.equations.doubling import bounded_real, double, is_nonnegative, is_positive, solve_riccati
-from synth.statespace import StateSpace
+from synth.systems.statespace import StateSpace
 
 seeds = st.integers(0, 10**6)
 

@@ -17,10 +17,10 @@ from synth.errors import ExportError, ModelError, VerificationError
 from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.controller import LinearController
 from synth.regulators.sequential import SequentialController
-from synth.statespace import StateSpace, c2d
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import hinfsyn
 from synth.synthesis.loopshaping import ncfsyn
+from synth.systems.statespace import StateSpace, c2d
 
 LIMIT = 3e-4  # N m
 STABLE = StateSpace([[0.5, 0.1], [0, 0.3]], [[1], [1]], [[1, 2]], [[0.5]], 0.1)

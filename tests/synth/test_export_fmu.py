@@ -19,9 +19,9 @@ from synth.delivery import fmu
 from synth.delivery.formats import export
 from synth.errors import ExportError
 from synth.regulators.sequential import SequentialController
-from synth.statespace import StateSpace
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import hinfsyn
+from synth.systems.statespace import StateSpace
 
 LIMITS = {"umin": -3e-4, "umax": 3e-4}  # N m
 WRAPPER = ("-Wno-unused-parameter",)  # the standard fixes the signatures

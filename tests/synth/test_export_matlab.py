@@ -13,9 +13,9 @@ from synth.delivery.formats import export
 from synth.errors import ExportError
 from synth.regulators.controller import state_feedback
 from synth.regulators.sequential import SequentialController
-from synth.statespace import StateSpace
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import hinfsyn
+from synth.systems.statespace import StateSpace
 
 CONTINUOUS = StateSpace([[-1, 2], [0, -3]], [[0], [1]], [[1, 0]], [[0.5]])
 

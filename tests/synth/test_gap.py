@@ -7,8 +7,8 @@ from scipy.signal import tf2ss
 from synth.analysis.coprime import discretised, right_factors
 from synth.analysis.gap import gapmetric
 from synth.errors import AssumptionError, ModelError
-from synth.statespace import StateSpace, c2d
 from synth.synthesis.loopshaping import ncfmargin, ncfsyn
+from synth.systems.statespace import StateSpace, c2d
 
 
 def tf(num, den) -> StateSpace:

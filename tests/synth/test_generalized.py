@@ -5,8 +5,8 @@ import pytest
 from literature import cubesat_model, cubesat_pecorilla2024
 
 from synth.errors import ModelError
-from synth.generalized import GeneralizedPlant
-from synth.statespace import StateSpace
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace
 
 
 def test_tracking_is_the_block_diagram_of_figure_5():

@@ -10,8 +10,6 @@ from literature import GAMMA_PECORILLA2024, compleib, cubesat_pecorilla2024, mas
 from synth.analysis.norms import hinfnorm, is_stable, verify
 from synth.analysis.precondition import Conditioned, precondition
 from synth.errors import NumericalError, VerificationError
-from synth.generalized import GeneralizedPlant
-from synth.statespace import StateSpace, cayley, cayley_rate, inverse_cayley
 from synth.synthesis.hinf_riccati import (
     RiccatiRoute,
     central_controller,
@@ -22,6 +20,8 @@ from synth.synthesis.hinf_riccati import (
     search,
     solve_level,
 )
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace, cayley, cayley_rate, inverse_cayley
 
 seeds = st.integers(0, 10**6)
 sizes = {"n": st.integers(2, 8), "nu": st.integers(1, 3), "ny": st.integers(1, 3)}

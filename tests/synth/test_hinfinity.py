@@ -10,10 +10,10 @@ from literature import GAMMA_PECORILLA2024, compleib, cubesat_pecorilla2024, ran
 from synth.analysis.norms import hinfnorm, is_stable
 from synth.analysis.precondition import precondition
 from synth.errors import AssumptionError, InfeasibleError, ModelError, NumericalError
-from synth.generalized import GeneralizedPlant
-from synth.statespace import StateSpace, lft
 from synth.synthesis import hinfinity
 from synth.synthesis.hinfinity import hinfsyn
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace, lft
 
 GAMMA_TOLERANCE = {"lmi": 1e-6, "riccati": 1e-6, "standard": 2e-5, "extended": 2e-5}  # relative
 

@@ -12,10 +12,10 @@ from synth.analysis.coprime import solutions
 from synth.analysis.norms import hinfnorm, is_stable
 from synth.errors import AssumptionError, InfeasibleError, ModelError, VerificationError
 from synth.lmi import coprime as program
-from synth.statespace import StateSpace, c2d, feedback, series
 from synth.synthesis.design import Design, to_dict
 from synth.synthesis.hinfinity import hinfsyn
 from synth.synthesis.loopshaping import four_block, ncfmargin, ncfsyn, observer_controller
+from synth.systems.statespace import StateSpace, c2d, feedback, series
 
 KNOWN = 1e-6  # relative, of the optimal level
 METHODS_AGREE = 1e-3  # relative, where the level is below 100

@@ -6,8 +6,8 @@ import pytest
 
 import synth
 from synth import AssumptionError, GeneralizedPlant, ModelError, StateSpace, hinfnorm, hinfsyn
-from synth.statespace import c2d, feedback
 from synth.synthesis.mixedsensitivity import augw, mixsyn, shifted
+from synth.systems.statespace import c2d, feedback
 
 N = 0.004375  # rad/min, of the geostationary orbit as the thesis has it
 

@@ -11,9 +11,9 @@ from literature import compleib, cubesat_pecorilla2024, mass_spring_chain, rando
 from synth.analysis.norms import hinfnorm
 from synth.analysis.precondition import check_assumptions, precondition
 from synth.errors import AssumptionError, ModelError, NumericalError
-from synth.generalized import GeneralizedPlant
-from synth.statespace import StateSpace
 from synth.synthesis.hinf_riccati import RiccatiRoute
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.statespace import StateSpace
 
 seeds = st.integers(0, 10**6)
 deficiencies = st.sampled_from(["none", "D12", "D21", "both"])

@@ -13,7 +13,7 @@ from scipy.linalg import solve_discrete_are
 from synth.errors import ModelError, NumericalError
 from synth.predictive.horizon import MpcState, mpc, pose
 from synth.predictive.parametricqp import ParametricQp, canonicalise
-from synth.statespace import StateSpace
+from synth.systems.statespace import StateSpace
 
 TORQUE, MOMENTUM, RATE = 1e-3, 10.8e-3, np.radians(2)  # N m, N m s, rad/s
 FORMS = ("position", "velocity")

@@ -4,7 +4,7 @@ import pytest
 
 from synth.errors import AssumptionError, ModelError
 from synth.regulators.regulator import dlqr, lqg, lqr
-from synth.statespace import StateSpace, c2d, feedback
+from synth.systems.statespace import StateSpace, c2d, feedback
 
 
 def problem(n=5, m=2, p=2, seed=0):

@@ -17,8 +17,8 @@ from synth.regulators.controller import LinearController
 from synth.regulators.quaternion import QuaternionPid, quaternion_lqr, quaternion_pd, quaternion_pid
 from synth.regulators.sdc import MrpModel, QuaternionModel
 from synth.regulators.sdre import Sdre, SdreHinf, SdreHinfPaperLiteral, SdreHinfStatic
-from synth.statespace import StateSpace
 from synth.synthesis.loopshaping import ncfmargin
+from synth.systems.statespace import StateSpace
 
 INERTIA = np.array([[310, 1.11, 1.01], [1.11, 360, -0.35], [1.01, -0.35, 530.7]])  # kg m^2, Romero and Souza, table 1
 ROTORS = 0.01911 * np.eye(3)  # kg m^2

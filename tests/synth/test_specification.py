@@ -7,9 +7,9 @@ from literature import GAMMA_PECORILLA2024, cubesat_pecorilla2024
 from synth.command.specification import read_study
 from synth.delivery.modelfiles import save_system
 from synth.errors import SpecificationError
-from synth.statespace import StateSpace, c2d
 from synth.synthesis.hinfinity import hinfsyn
 from synth.synthesis.loopshaping import ncfsyn
+from synth.systems.statespace import StateSpace, c2d
 
 SHAPING = """
 [plant]

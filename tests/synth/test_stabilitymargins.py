@@ -12,7 +12,7 @@ from synth.analysis.norms import is_stable
 from synth.analysis.stabilitymargins import diskmargin, margin, margins
 from synth.errors import ModelError
 from synth.regulators.controller import proportional_derivative
-from synth.statespace import StateSpace, c2d, delayed, feedback
+from synth.systems.statespace import StateSpace, c2d, delayed, feedback
 
 
 def transfer(numerator, denominator, dt=0.0) -> StateSpace:

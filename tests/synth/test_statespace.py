@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from synth.errors import ModelError
-from synth.statespace import StateSpace, c2d, cayley, cayley_rate, feedback, inverse_cayley, lft, series
+from synth.systems.statespace import StateSpace, c2d, cayley, cayley_rate, feedback, inverse_cayley, lft, series
 
 OMEGA = (0.03, 0.7, 2.9)
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from synth.errors import ModelError
-from synth.statespace import StateSpace, as_matrix, as_timebase, lft
+from synth.systems.statespace import StateSpace, as_matrix, as_timebase, lft
 
 
 @dataclass(frozen=True, eq=False)
