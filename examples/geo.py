@@ -25,7 +25,7 @@ from plants.simulation.loop import Run
 from plants.simulation.simulate import simulate, simulate_many
 from synth.predictive.fuel import FuelMpc, MinimumFuel, free_motion, fuel_mpc, minimum_fuel
 from synth.synthesis.design import Design
-from synth.systems.statespace import c2d
+from synth.systems.sampled import c2d
 
 NOISE = np.repeat([1.0, 1e-3], 3)  # m, m/s, one sigma of each sample: ours, the thesis does not say
 PERIOD = 6.0  # s, the thesis's T = 0.1 min; of the linear controllers

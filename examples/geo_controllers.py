@@ -18,7 +18,8 @@ from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import hinfsyn
 from synth.synthesis.mixedsensitivity import mixsyn
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace, c2d
+from synth.systems.sampled import c2d
+from synth.systems.statespace import StateSpace
 
 THESIS_LQR, LQR, LQG = "LQR of the thesis", "LQR, tuned", "LQG"
 MIXED, MIXED_TUNED, FOUR_BLOCK = "H-infinity of the thesis", "H-infinity, tuned", "H-infinity, four blocks"

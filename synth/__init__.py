@@ -70,12 +70,12 @@ if TYPE_CHECKING:
     from synth.synthesis.loopshaping import ncfsyn as ncfsyn
     from synth.synthesis.mixedsensitivity import augw as augw
     from synth.synthesis.mixedsensitivity import mixsyn as mixsyn
+    from synth.systems.connect import feedback as feedback
+    from synth.systems.connect import lft as lft
+    from synth.systems.connect import series as series
     from synth.systems.generalized import GeneralizedPlant as GeneralizedPlant
+    from synth.systems.sampled import c2d as c2d
     from synth.systems.statespace import StateSpace as StateSpace
-    from synth.systems.statespace import c2d as c2d
-    from synth.systems.statespace import feedback as feedback
-    from synth.systems.statespace import lft as lft
-    from synth.systems.statespace import series as series
 
 _HOME = {
     "Acceptance": "delivery.acceptance",
@@ -113,19 +113,19 @@ _HOME = {
     "VerificationError": "errors",
     "accept": "delivery.acceptance",
     "augw": "synthesis.mixedsensitivity",
-    "c2d": "systems.statespace",
+    "c2d": "systems.sampled",
     "care": "equations.riccati",
     "dare": "equations.riccati",
     "diskmargin": "analysis.stabilitymargins",
     "dlqr": "regulators.regulator",
-    "feedback": "systems.statespace",
+    "feedback": "systems.connect",
     "free_motion": "predictive.fuel",
     "fuel_mpc": "predictive.fuel",
     "gapmetric": "analysis.gap",
     "h2norm": "analysis.norms",
     "hinfnorm": "analysis.norms",
     "hinfsyn": "synthesis.hinfinity",
-    "lft": "systems.statespace",
+    "lft": "systems.connect",
     "lqg": "regulators.regulator",
     "lqr": "regulators.regulator",
     "lqrd": "regulators.regulator",
@@ -141,7 +141,7 @@ _HOME = {
     "quaternion_pd": "regulators.quaternion",
     "quaternion_pid": "regulators.quaternion",
     "read_study": "command.specification",
-    "series": "systems.statespace",
+    "series": "systems.connect",
     "sigma_plot": "delivery.plots",
     "state_feedback": "regulators.controller",
     "verify": "analysis.norms",

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace, c2d
+from synth.systems.sampled import c2d
+from synth.systems.statespace import StateSpace
 
 DATA = Path(__file__).parent / "data"
 

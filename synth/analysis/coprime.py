@@ -24,7 +24,8 @@ import scipy.linalg as sla
 from synth.analysis.norms import spectral_radius
 from synth.equations.doubling import Riccati, is_nonnegative, is_positive, solve_riccati
 from synth.errors import NumericalError
-from synth.systems.statespace import StateSpace, cayley
+from synth.systems.sampled import cayley
+from synth.systems.statespace import StateSpace
 
 NEGLIGIBLE = 1e-8  # of the largest LQG singular value; below it they are rounding
 APART = 0.1  # relative distance of the Cayley rate from every pole

@@ -28,7 +28,8 @@ from synth.analysis.precondition import check_assumptions
 from synth.equations.doubling import is_positive, solve_riccati
 from synth.errors import ModelError
 from synth.synthesis.loopshaping import four_block
-from synth.systems.statespace import StateSpace, common_timebase, series
+from synth.systems.connect import common_timebase, series
+from synth.systems.statespace import StateSpace
 
 TOLERANCE = 1e-9  # of the gap, absolute
 

@@ -22,7 +22,8 @@ import scipy.linalg as sla
 from scipy.optimize import minimize_scalar
 
 from synth.errors import NumericalError, VerificationError
-from synth.systems.statespace import StateSpace, cayley, cayley_rate
+from synth.systems.sampled import cayley, cayley_rate
+from synth.systems.statespace import StateSpace
 from synth.threads import one_thread
 
 CONFIRM = (*(10.0**k for k in range(-7, 9)),)  # relative margins at which the second method confirms the first

@@ -26,7 +26,9 @@ from scipy.optimize import root_scalar
 from synth.analysis.norms import balance, hinfnorm, is_stable
 from synth.errors import ModelError
 from synth.synthesis.loopshaping import ncfmargin
-from synth.systems.statespace import StateSpace, cayley, cayley_rate, common_timebase, delayed, feedback, lft, series
+from synth.systems.connect import common_timebase, delayed, feedback, lft, series
+from synth.systems.sampled import cayley, cayley_rate
+from synth.systems.statespace import StateSpace
 
 NEAR_CIRCLE = 1e-4  # an eigenvalue this near the unit circle is a candidate; candidates are then polished
 REAL = 1e-6  # |Im L| / |L| up to which a polished candidate counts as real

@@ -35,7 +35,8 @@ from synth.synthesis.loopshaping import METHODS as SHAPING_METHODS
 from synth.synthesis.loopshaping import four_block, ncfsyn
 from synth.synthesis.mixedsensitivity import augw, mixsyn
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace, c2d
+from synth.systems.sampled import c2d
+from synth.systems.statespace import StateSpace
 
 PROBLEMS = ("tracking", "generalized", "loopshaping", "mixedsensitivity")
 TRACKING = {"Wproc": "u", "Wdist": "y", "Werr": "y", "Wact": "u", "Wr": "y"}  # weight -> signals of the plant

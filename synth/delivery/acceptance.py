@@ -28,8 +28,10 @@ from synth.errors import ExportError, ModelError, SynthError
 from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.sequential import SequentialController
 from synth.synthesis.design import Design
+from synth.systems.connect import common_timebase, delayed
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace, c2d, common_timebase, delayed
+from synth.systems.sampled import c2d
+from synth.systems.statespace import StateSpace
 from synth.threads import one_thread
 
 RETURNED = 1e-2  # of the linear response's peak

@@ -18,7 +18,8 @@ from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.files import write_atomically
 from synth.synthesis.design import Design
 from synth.synthesis.loopshaping import ncfmargin
-from synth.systems.statespace import StateSpace, series
+from synth.systems.connect import series
+from synth.systems.statespace import StateSpace
 
 MEASURES: dict[str, tuple[str, str]] = {  # key -> (text, what it is)
     "order": ("controller order", "states of the controller"),

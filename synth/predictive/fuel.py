@@ -28,7 +28,8 @@ import scipy.linalg as sla
 from synth.errors import ModelError, NumericalError
 from synth.predictive.horizon import count, limits
 from synth.predictive.parametriclp import ParametricLp, canonicalise
-from synth.systems.statespace import StateSpace, as_matrix, c2d
+from synth.systems.sampled import c2d
+from synth.systems.statespace import StateSpace, as_matrix
 
 if TYPE_CHECKING:
     import cvxpy as cp

@@ -29,7 +29,8 @@ from synth.proof.balls import Coupling, Impulse, LowerWitness, Step, UpperWitnes
 from synth.synthesis.hinf_riccati import RiccatiRoute
 from synth.synthesis.hinfinity import discretised
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace, cayley_rate
+from synth.systems.sampled import cayley_rate
+from synth.systems.statespace import StateSpace
 
 DISTANCES = (
     2e-7,

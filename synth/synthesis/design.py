@@ -19,8 +19,9 @@ import numpy as np
 from synth.analysis.norms import verify
 from synth.errors import ModelError, VerificationError
 from synth.files import write_atomically
+from synth.systems.connect import series
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace, series
+from synth.systems.statespace import StateSpace
 
 if TYPE_CHECKING:
     import control

@@ -26,7 +26,8 @@ from synth.errors import InfeasibleError, ModelError, NumericalError, SynthError
 from synth.files import provenance
 from synth.synthesis.design import Design, Info
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace, cayley, cayley_rate, inverse_cayley
+from synth.systems.sampled import cayley, cayley_rate, inverse_cayley
+from synth.systems.statespace import StateSpace
 from synth.threads import one_thread
 
 METHODS = ("auto", "lmi", "riccati", "standard", "extended")

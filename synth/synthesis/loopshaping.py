@@ -32,8 +32,9 @@ from synth.equations.doubling import FINAL_RESIDUAL
 from synth.errors import InfeasibleError, ModelError, NumericalError, VerificationError
 from synth.files import provenance
 from synth.synthesis.design import Design, Info, Shaping
+from synth.systems.connect import common_timebase, series
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace, as_matrix, common_timebase, series
+from synth.systems.statespace import StateSpace, as_matrix
 from synth.threads import one_thread
 
 METHODS = ("lmi", "riccati")

@@ -25,8 +25,9 @@ from synth.analysis.norms import balance, is_stable, verify
 from synth.errors import AssumptionError, ModelError, VerificationError
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import hinfsyn
+from synth.systems.connect import common_timebase, feedback
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace, as_matrix, common_timebase, feedback
+from synth.systems.statespace import StateSpace, as_matrix
 
 NEAR = 1e-3  # relative to |A|, of a pole that may be on the boundary: rounding moves a triple one by 1e-5 |A|
 BOUNDARY = 1e-12  # relative to |A|, of the change of A that puts it there

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from synth.errors import ModelError
-from synth.systems.statespace import StateSpace, as_matrix, as_timebase, lft
+from synth.systems.connect import lft
+from synth.systems.statespace import StateSpace, as_matrix, as_timebase
 
 
 @dataclass(frozen=True, eq=False)

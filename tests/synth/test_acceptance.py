@@ -13,8 +13,10 @@ from synth.regulators.sequential import SequentialController
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import hinfsyn
 from synth.synthesis.loopshaping import four_block, ncfsyn
+from synth.systems.connect import delayed
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace, c2d, delayed
+from synth.systems.sampled import c2d
+from synth.systems.statespace import StateSpace
 
 
 @pytest.fixture(scope="module")

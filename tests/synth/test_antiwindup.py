@@ -12,7 +12,8 @@ from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import hinfsyn
 from synth.synthesis.loopshaping import ncfsyn
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace, c2d
+from synth.systems.sampled import c2d
+from synth.systems.statespace import StateSpace
 
 
 def tf(num, den) -> StateSpace:

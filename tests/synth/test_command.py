@@ -18,7 +18,8 @@ from synth.regulators.antiwindup import AntiWindup
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import hinfsyn
 from synth.synthesis.loopshaping import ncfsyn
-from synth.systems.statespace import StateSpace, c2d
+from synth.systems.sampled import c2d
+from synth.systems.statespace import StateSpace
 
 STUDY = Path(__file__).parents[2] / "examples" / "cubesat3u.toml"
 

@@ -6,7 +6,8 @@ import pytest
 
 from synth.errors import ModelError
 from synth.regulators.controller import LinearController, proportional_derivative, state_feedback
-from synth.systems.statespace import StateSpace, c2d
+from synth.systems.sampled import c2d
+from synth.systems.statespace import StateSpace
 
 INERTIA = np.array([0.0546, 0.0546, 0.0074])  # kg m^2
 

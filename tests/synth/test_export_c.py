@@ -20,7 +20,8 @@ from synth.regulators.sequential import SequentialController
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import hinfsyn
 from synth.synthesis.loopshaping import ncfsyn
-from synth.systems.statespace import StateSpace, c2d
+from synth.systems.sampled import c2d
+from synth.systems.statespace import StateSpace
 
 LIMIT = 3e-4  # N m
 STABLE = StateSpace([[0.5, 0.1], [0, 0.3]], [[1], [1]], [[1, 2]], [[0.5]], 0.1)

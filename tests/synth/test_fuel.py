@@ -10,7 +10,7 @@ from synth import ModelError, NumericalError, StateSpace
 from synth.predictive.fuel import free_motion, fuel_mpc, minimum_fuel, pose, primer_peak, response
 from synth.predictive.parametriclp import canonicalise
 from synth.predictive.parametricqp import CLARABEL_SETTINGS
-from synth.systems.statespace import c2d
+from synth.systems.sampled import c2d
 
 N = 7.2921159e-5  # rad/s, of the geostationary orbit
 OFFSET = np.r_[100.0, 100, 100, 0, 0, 0]  # m, m/s: chapter 6 of the thesis of the geostationary study

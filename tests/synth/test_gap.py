@@ -8,7 +8,8 @@ from synth.analysis.coprime import discretised, right_factors
 from synth.analysis.gap import gapmetric
 from synth.errors import AssumptionError, ModelError
 from synth.synthesis.loopshaping import ncfmargin, ncfsyn
-from synth.systems.statespace import StateSpace, c2d
+from synth.systems.sampled import c2d
+from synth.systems.statespace import StateSpace
 
 
 def tf(num, den) -> StateSpace:

@@ -21,7 +21,8 @@ from synth.synthesis.hinf_riccati import (
     solve_level,
 )
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace, cayley, cayley_rate, inverse_cayley
+from synth.systems.sampled import cayley, cayley_rate, inverse_cayley
+from synth.systems.statespace import StateSpace
 
 seeds = st.integers(0, 10**6)
 sizes = {"n": st.integers(2, 8), "nu": st.integers(1, 3), "ny": st.integers(1, 3)}

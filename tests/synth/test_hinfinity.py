@@ -12,8 +12,9 @@ from synth.analysis.precondition import precondition
 from synth.errors import AssumptionError, InfeasibleError, ModelError, NumericalError
 from synth.synthesis import hinfinity
 from synth.synthesis.hinfinity import hinfsyn
+from synth.systems.connect import lft
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace, lft
+from synth.systems.statespace import StateSpace
 
 GAMMA_TOLERANCE = {"lmi": 1e-6, "riccati": 1e-6, "standard": 2e-5, "extended": 2e-5}  # relative
 

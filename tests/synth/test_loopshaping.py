@@ -15,7 +15,9 @@ from synth.lmi import coprime as program
 from synth.synthesis.design import Design, to_dict
 from synth.synthesis.hinfinity import hinfsyn
 from synth.synthesis.loopshaping import four_block, ncfmargin, ncfsyn, observer_controller
-from synth.systems.statespace import StateSpace, c2d, feedback, series
+from synth.systems.connect import feedback, series
+from synth.systems.sampled import c2d
+from synth.systems.statespace import StateSpace
 
 KNOWN = 1e-6  # relative, of the optimal level
 METHODS_AGREE = 1e-3  # relative, where the level is below 100

@@ -7,7 +7,8 @@ import pytest
 import synth
 from synth import AssumptionError, GeneralizedPlant, ModelError, StateSpace, hinfnorm, hinfsyn
 from synth.synthesis.mixedsensitivity import augw, mixsyn, shifted
-from synth.systems.statespace import c2d, feedback
+from synth.systems.connect import feedback
+from synth.systems.sampled import c2d
 
 N = 0.004375  # rad/min, of the geostationary orbit as the thesis has it
 

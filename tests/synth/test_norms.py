@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from synth.analysis.norms import h2norm, hinfnorm, is_stable, spectral_radius, verify
 from synth.errors import VerificationError
-from synth.systems.statespace import StateSpace, c2d
+from synth.systems.sampled import c2d
+from synth.systems.statespace import StateSpace
 
 
 def random_stable(seed: int, radius: float, scaling: float, dt: float = 0.5) -> StateSpace:

@@ -4,7 +4,9 @@ import pytest
 
 from synth.errors import AssumptionError, ModelError
 from synth.regulators.regulator import dlqr, lqg, lqr
-from synth.systems.statespace import StateSpace, c2d, feedback
+from synth.systems.connect import feedback
+from synth.systems.sampled import c2d
+from synth.systems.statespace import StateSpace
 
 
 def problem(n=5, m=2, p=2, seed=0):

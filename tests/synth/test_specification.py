@@ -9,7 +9,8 @@ from synth.delivery.modelfiles import save_system
 from synth.errors import SpecificationError
 from synth.synthesis.hinfinity import hinfsyn
 from synth.synthesis.loopshaping import ncfsyn
-from synth.systems.statespace import StateSpace, c2d
+from synth.systems.sampled import c2d
+from synth.systems.statespace import StateSpace
 
 SHAPING = """
 [plant]

@@ -12,7 +12,9 @@ from synth.analysis.norms import is_stable
 from synth.analysis.stabilitymargins import diskmargin, margin, margins
 from synth.errors import ModelError
 from synth.regulators.controller import proportional_derivative
-from synth.systems.statespace import StateSpace, c2d, delayed, feedback
+from synth.systems.connect import delayed, feedback
+from synth.systems.sampled import c2d
+from synth.systems.statespace import StateSpace
 
 
 def transfer(numerator, denominator, dt=0.0) -> StateSpace:

@@ -9,7 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from synth.errors import ModelError
-from synth.systems.statespace import StateSpace, c2d, cayley, cayley_rate, feedback, inverse_cayley, lft, series
+from synth.systems.connect import feedback, lft, series
+from synth.systems.sampled import c2d, cayley, cayley_rate, inverse_cayley
+from synth.systems.statespace import StateSpace
 
 OMEGA = (0.03, 0.7, 2.9)
 

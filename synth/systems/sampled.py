@@ -1,0 +1,76 @@
+"""From continuous to discrete time and back: `c2d`, and the Cayley map that keeps norms."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg as sla
+
+from synth.errors import ModelError
+from synth.systems.statespace import StateSpace, as_timebase, is_singular
+
+
+def c2d(G: StateSpace, dt: float, method: str = "zoh") -> StateSpace:
+    """Continuous to discrete: `"zoh"` exact hold equivalent, `"tustin"` bilinear.
+
+    Parameters
+    ----------
+    dt : sampling time in seconds, positive.
+    """
+    if G.discrete:
+        raise ModelError(f"the system is already discrete (dt = {G.dt} s); c2d takes a continuous one")
+    if as_timebase(dt) == 0:
+        raise ModelError("dt is 0; pass the sampling time in seconds")
+    if method not in ("zoh", "tustin"):
+        raise ModelError(f"method is {method!r}; pass 'zoh' or 'tustin'")
+    if G.n == 0:
+        return StateSpace(G.A, G.B, G.C, G.D, dt)
+    if method == "zoh":
+        M = sla.expm(dt * np.block([[G.A, G.B], [np.zeros((G.nu, G.n + G.nu))]]))
+        return StateSpace(M[: G.n, : G.n], M[: G.n, G.n :], G.C, G.D, dt)
+    return cayley(G, 2 / dt, dt)
+
+
+def cayley(G: StateSpace, rate: float, dt: float = 1.0) -> StateSpace:
+    """Norm-preserving map of a continuous system to a discrete one, s = rate (z - 1)/(z + 1).
+
+    Stability, H-infinity norm and stabilisability carry over exactly; `inverse_cayley` is the way back.
+
+    Raises
+    ------
+    ModelError : `rate` (rad/s) is an eigenvalue of A.
+    """
+    E = rate * np.eye(G.n) - G.A
+    if is_singular(E, rate + np.linalg.norm(G.A, 2)):
+        raise ModelError(f"{rate} rad/s is an eigenvalue of A: choose another rate for the Cayley map")
+    A = np.linalg.solve(E, rate * np.eye(G.n) + G.A)
+    B = np.sqrt(2 * rate) * np.linalg.solve(E, G.B)
+    C = np.sqrt(2 * rate) * np.linalg.solve(E.T, G.C.T).T
+    D = G.D + G.C @ np.linalg.solve(E, G.B)
+    return StateSpace(A, B, C, D, dt)
+
+
+def cayley_rate(G: StateSpace) -> float:
+    """A rate in rad/s for the Cayley map: the geometric mean of the pole moduli, away from every pole."""
+    moduli = np.abs(G.poles())
+    moduli = moduli[moduli > 1e-8 * max(moduli.max(initial=0.0), 1e-300)]
+    rate = float(np.exp(np.log(moduli).mean())) if moduli.size else 1.0
+    while G.n and np.abs(G.poles() - rate).min() < 1e-2 * rate:
+        rate *= 1.1
+    return rate
+
+
+def inverse_cayley(G: StateSpace, rate: float) -> StateSpace:
+    """The way back from `cayley`: z = (rate + s)/(rate - s).
+
+    Raises
+    ------
+    ModelError : -1 is an eigenvalue of A, that is, the continuous system would be improper.
+    """
+    E = G.A + np.eye(G.n)
+    if is_singular(E, 1 + np.linalg.norm(G.A, 2)):
+        raise ModelError("-1 is an eigenvalue of A: the continuous system would not be proper")
+    A = rate * np.linalg.solve(E, G.A - np.eye(G.n))
+    B = np.sqrt(2 * rate) * np.linalg.solve(E, G.B)
+    C = np.sqrt(2 * rate) * np.linalg.solve(E.T, G.C.T).T
+    D = G.D - G.C @ np.linalg.solve(E, G.B)
+    return StateSpace(A, B, C, D, 0.0)
