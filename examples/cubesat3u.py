@@ -33,7 +33,7 @@ from cubesat3u_figures import drawings, indices_figure
 from tqdm import tqdm
 
 import synth
-from plants.dynamics import attitude
+from plants.geometry import attitude
 from plants.missions import cubesat3u
 from plants.missions.cubesat3u import DEG, REQUIREMENTS
 from plants.outcome import indices, report, study

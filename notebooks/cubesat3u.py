@@ -32,6 +32,7 @@ from cubesat3u_claims import BOUNDS, INDICES, worst
 
 from plants.missions import cubesat3u
 from plants.outcome import indices, report
+from plants.outcome.plots import campaign_plot
 from plants.outcome.study import campaigns
 from synth import LinearController, StateSpace, proportional_derivative, series, sigma_plot
 
@@ -180,4 +181,4 @@ for name, key in INDICES.items():
 # A requirement is met by the share that the curve has reached at its value; at 0.31 deg, 0.0054 rad, all have arrived.
 
 # %%
-_ = flown["torque x 1"].plot(results=["ape", "ake", "control_error", "pse"])
+_ = campaign_plot(flown["torque x 1"], results=["ape", "ake", "control_error", "pse"])

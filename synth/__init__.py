@@ -9,6 +9,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from synth.analysis.coprime import ncfmargin as ncfmargin
     from synth.analysis.gap import Gap as Gap
     from synth.analysis.gap import gapmetric as gapmetric
     from synth.analysis.norms import h2norm as h2norm
@@ -66,7 +67,6 @@ if TYPE_CHECKING:
     from synth.synthesis.design import Info as Info
     from synth.synthesis.design import Shaping as Shaping
     from synth.synthesis.hinfinity import hinfsyn as hinfsyn
-    from synth.synthesis.loopshaping import ncfmargin as ncfmargin
     from synth.synthesis.loopshaping import ncfsyn as ncfsyn
     from synth.synthesis.mixedsensitivity import augw as augw
     from synth.synthesis.mixedsensitivity import mixsyn as mixsyn
@@ -134,7 +134,7 @@ _HOME = {
     "minimum_fuel": "predictive.fuel",
     "mixsyn": "synthesis.mixedsensitivity",
     "mpc": "predictive.horizon",
-    "ncfmargin": "synthesis.loopshaping",
+    "ncfmargin": "analysis.coprime",
     "ncfsyn": "synthesis.loopshaping",
     "proportional_derivative": "regulators.controller",
     "quaternion_lqr": "regulators.quaternion",

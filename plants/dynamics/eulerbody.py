@@ -21,8 +21,8 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from plants.checks import Numbers, positive, real
-from plants.dynamics import attitude
 from plants.errors import ScenarioError, SingularityError
+from plants.geometry import attitude
 from plants.simulation import blocks
 
 MARGIN = np.radians(0.5)  # rad of pitch before +-90 deg, where E has grown to 115

@@ -23,7 +23,7 @@ from jax.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from plants.checks import Numbers, positive, real
-from plants.dynamics.attitude import cross
+from plants.geometry.attitude import cross
 from plants.simulation import blocks
 from plants.surroundings import gravity
 from plants.surroundings.environment import julian, sun_position

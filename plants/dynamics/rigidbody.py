@@ -20,8 +20,8 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from plants.checks import Numbers, real
-from plants.dynamics import attitude
 from plants.errors import ScenarioError
+from plants.geometry import attitude
 from plants.simulation import blocks
 from plants.surroundings.disturbances import Disturbance, seen_from
 from plants.surroundings.environment import OrbitEnv

@@ -4,8 +4,8 @@ References: Markley and Crassidis (2014), Fundamentals of Spacecraft Attitude De
 chapters 5 and 6; Markley (2002), Fast quaternion attitude estimation from two vector measurements;
 Pecorilla and Stesina (2024), section 2.2, whose eq. 8 are the nine states of the filter.
 
-Frame O is the frame of reference (orbital, see `plants.surroundings.environment`), B the body. Every navigator returns the
-estimate [vector part of q_OB with scalar part >= 0; w_OB in body axes (rad/s)], (6,).
+Frame O is the frame of reference (orbital, see `plants.surroundings.environment`), B the body. Every navigator returns
+the estimate [vector part of q_OB with scalar part >= 0; w_OB in body axes (rad/s)], (6,).
 """
 
 from dataclasses import dataclass, field
@@ -19,9 +19,9 @@ from jax.typing import ArrayLike
 from numpy.typing import ArrayLike as Numbers
 
 from plants.checks import real
-from plants.dynamics import attitude
 from plants.dynamics.rigidbody import BodyState, RigidBody
 from plants.errors import ScenarioError
+from plants.geometry import attitude
 from plants.hardware.sensors import AttitudeSuite, Measurement
 
 PARALLEL = 1e-6  # () sine of the angle between two directions below which they fix no attitude

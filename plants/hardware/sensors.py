@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from numpy.typing import ArrayLike as Numbers
 
 from plants.checks import real
-from plants.dynamics import attitude
+from plants.geometry import attitude
 
 DUSK = 0.5  # () visible fraction of the Sun below which the sun sensor gives no direction
 

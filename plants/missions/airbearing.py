@@ -4,12 +4,13 @@ A paper on its attitude control by the SDRE method with a Kalman filter, in comp
 section 4. Title, authors and equations 5 to 7, 13, 14, 16 and 17 are missing from the text we have.
 
 Readings. Equation 5: 3-2-1 Euler angles, which do have a singularity at pitch +-90 deg. Equations 13 and 14: the
-pseudo-linear form of `plants.dynamics.eulerbody`, the torque on the body u = -Iw dOm/dt as input, x = [angles - target; w].
-Equations 16 and 17: the usual Kalman filter with F = exp(A(x) T). LQR: the same at angles zero, at rest. Angles only:
-the text does not say how it gets the rate; we fly the backward difference, no rate at all, and the filter. The sampling
-time of 0.1 s, given for the filter, holds for the whole loop; gains are those of the sampled regulator. "Mean values"
-of noise are taken as standard deviations, which agree with the covariances. Wheels have no limits in the paper and
-start at rest. Performance is judged by the time to stay within 2 % of each step, and by its overshoot.
+pseudo-linear form of `plants.dynamics.eulerbody`, the torque on the body u = -Iw dOm/dt as input,
+x = [angles - target; w]. Equations 16 and 17: the usual Kalman filter with F = exp(A(x) T). LQR: the same at angles
+zero, at rest. Angles only: the text does not say how it gets the rate; we fly the backward difference, no rate at all,
+and the filter. The sampling time of 0.1 s, given for the filter, holds for the whole loop; gains are those of the
+sampled regulator. "Mean values" of noise are taken as standard deviations, which agree with the covariances. Wheels
+have no limits in the paper and start at rest. Performance is judged by the time to stay within 2 % of each step, and by
+its overshoot.
 """
 
 from typing import NamedTuple

@@ -22,9 +22,9 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from plants.checks import positive, real, whole
-from plants.dynamics import attitude
 from plants.dynamics.rigidbody import BodyState, RigidBody
 from plants.errors import ScenarioError
+from plants.geometry import attitude
 from plants.hardware.actuators import ReactionWheels
 from plants.outcome.indices import settling_time
 from plants.simulation import blocks

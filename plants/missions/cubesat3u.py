@@ -21,10 +21,10 @@ from jax.typing import ArrayLike
 from scipy.linalg import expm
 
 from plants.checks import real
-from plants.dynamics import attitude
 from plants.dynamics.rigidbody import BodyState, RigidBody, state_from
 from plants.errors import ScenarioError
 from plants.estimation import navigation
+from plants.geometry import attitude
 from plants.hardware import sensors
 from plants.hardware.actuators import ReactionWheels
 from plants.simulation.linearize import LinearModel, linearize

@@ -22,8 +22,8 @@ from jax import Array
 from jax.typing import ArrayLike
 from scipy.stats import beta
 
-from plants.dynamics import attitude
 from plants.errors import ScenarioError
+from plants.geometry import attitude
 from plants.simulation import blocks
 from plants.simulation.loop import Run
 

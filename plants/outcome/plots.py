@@ -1,6 +1,7 @@
 """Pictures of a run and of a campaign for people who look rather than read.
 
-They are drawn on the caller's axes, or on new ones, in the caller's style; `plants.outcome.figures` has those of the reports.
+They are drawn on the caller's axes, or on new ones, in the caller's style; those of the reports are in
+`plants.outcome.figures`.
 """
 
 from __future__ import annotations

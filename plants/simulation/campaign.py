@@ -52,12 +52,6 @@ class Campaign:
         blamed = [f"{name} {int((self.culprit == name).sum())}" for name in simulate.CULPRITS[1:]]
         return "\n".join(lines if self.ok.all() else [*lines, "failed in: " + ", ".join(blamed)])
 
-    def plot(self, ax: Any = None, **options: Any) -> np.ndarray:
-        """The distribution of every result over the runs; see `plants.outcome.plots.campaign_plot`."""
-        from plants.outcome.plots import campaign_plot
-
-        return campaign_plot(self, ax, **options)
-
 
 def draw(sample: Callable[[int, int], Any], runs: int, seed: int) -> Any:
     """Dispersions of `runs` runs, leaves (runs, ...).

@@ -169,12 +169,6 @@ class Run:
     compiled: bool  # whether the controller was compiled with the loop or stepped from Python
     memory: Any = None  # the controller's state at the end: its counters, for example
 
-    def plot(self, ax: Any = None, **options: Any) -> np.ndarray:
-        """Outputs with their reference, and commands, against time; see `plants.outcome.plots.run_plot`."""
-        from plants.outcome.plots import run_plot
-
-        return run_plot(self, ax, **options)
-
 
 def check(loop: Loop, scenario: Scenario) -> None:
     """Raise `ScenarioError` naming the first unusable number of a case, and register its blocks with JAX."""

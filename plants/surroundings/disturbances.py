@@ -14,7 +14,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from plants.checks import Numbers, real
-from plants.dynamics.attitude import cross, dot, rotate
+from plants.geometry.attitude import cross, dot, rotate
 from plants.simulation import blocks
 from plants.surroundings.environment import OrbitEnv
 from plants.surroundings.orbit import MU

@@ -25,8 +25,8 @@ from jax.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from plants.checks import Numbers, positive, real
-from plants.dynamics import attitude
 from plants.errors import ScenarioError
+from plants.geometry import attitude
 from plants.simulation import blocks
 from plants.surroundings import orbit
 from plants.surroundings.orbit import EARTH_RADIUS, Orbit

@@ -16,7 +16,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from plants.checks import Numbers, positive
-from plants.dynamics.attitude import cross, dot
+from plants.geometry.attitude import cross, dot
 from plants.simulation import blocks
 from plants.surroundings.disturbances import SOLAR_PRESSURE
 from plants.surroundings.environment import visible_fraction
@@ -116,8 +116,8 @@ def sunlight(r: ArrayLike, sun: ArrayLike, coefficient: ArrayLike) -> Array:
 def sunlit(r: ArrayLike, sun: ArrayLike) -> Array:
     """Visible fraction () of the solar disc at r (3,) m behind a spherical Earth, from 0 to 1.
 
-    The disc crosses the limb as in `plants.surroundings.environment`, so the edge of the shadow is as soft as it is in truth:
-    at geostationary height it takes 2 minutes to cross, of the 70 that the longest shadow lasts.
+    The disc crosses the limb as in `plants.surroundings.environment`, so the edge of the shadow is as soft as it is in
+    truth: at geostationary height it takes 2 minutes to cross, of the 70 that the longest shadow lasts.
     """
     r = jnp.asarray(r)
     d = sun - r

@@ -14,8 +14,8 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from plants.checks import real
-from plants.dynamics import attitude
 from plants.errors import ScenarioError
+from plants.geometry import attitude
 
 MU = 3.986004418e14  # () m^3/s^2  Earth's gravitational parameter, IERS Conventions (2010) without the last digits
 EARTH_RADIUS = 6378137.0  # () m  equatorial, WGS 84

@@ -22,12 +22,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.linalg as sla
 
-from synth.analysis.coprime import discretised, fastest, left_factors, right_factors
+from synth.analysis.coprime import discretised, fastest, gang_of_four, left_factors, right_factors
 from synth.analysis.norms import balance, hinfnorm, spectral_radius
 from synth.analysis.precondition import check_assumptions
 from synth.equations.doubling import is_positive, solve_riccati
 from synth.errors import ModelError
-from synth.synthesis.loopshaping import four_block
 from synth.systems.connect import common_timebase, series
 from synth.systems.statespace import StateSpace
 
@@ -69,7 +68,7 @@ def gapmetric(G1: Any, G2: Any) -> Gap:
     if (G1.ny, G1.nu) != (G2.ny, G2.nu):
         raise ModelError(f"G1 is {G1.ny} x {G1.nu}, G2 is {G2.ny} x {G2.nu}; a gap needs plants of the same size")
     for G in (G1, G2):
-        check_assumptions(four_block(G))
+        check_assumptions(gang_of_four(G))
     H1, H2 = discretised(max(fastest(G1), fastest(G2)), G1, G2)
     R1, R2 = right_factors(H1), right_factors(H2)
     if not _homotopic(R1, R2):

@@ -23,9 +23,9 @@ import numpy as np
 import scipy.linalg as sla
 from scipy.optimize import root_scalar
 
+from synth.analysis.coprime import ncfmargin
 from synth.analysis.norms import balance, hinfnorm, is_stable
 from synth.errors import ModelError
-from synth.synthesis.loopshaping import ncfmargin
 from synth.systems.connect import common_timebase, delayed, feedback, lft, series
 from synth.systems.sampled import cayley, cayley_rate
 from synth.systems.statespace import StateSpace

@@ -194,7 +194,7 @@ def verify(options: argparse.Namespace) -> int:
 
 def plant_of(item: Any, file: str, negative: bool) -> GeneralizedPlant:
     """A generalised plant, or the four-block problem of a plain one."""
-    from synth.synthesis.loopshaping import four_block
+    from synth.analysis.coprime import gang_of_four
 
     if isinstance(item, Design):
         item = item.plant
@@ -202,7 +202,7 @@ def plant_of(item: Any, file: str, negative: bool) -> GeneralizedPlant:
         if negative:
             raise ModelError(f"{file}: --negative is about a plain plant; a generalised one says itself what y is")
         return item
-    return four_block(-item.system if negative else item.system)
+    return gang_of_four(-item.system if negative else item.system)
 
 
 def limits_of(options: argparse.Namespace) -> tuple[Any, Any]:

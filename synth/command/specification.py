@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from synth.analysis.coprime import gang_of_four
 from synth.command.tables import Table
 from synth.delivery.acceptance import Acceptance, Requirements, accept, sampled
 from synth.delivery.modelfiles import NINE, Model, read
@@ -32,7 +33,7 @@ from synth.regulators.antiwindup import AntiWindup
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import METHODS, hinfsyn
 from synth.synthesis.loopshaping import METHODS as SHAPING_METHODS
-from synth.synthesis.loopshaping import four_block, ncfsyn
+from synth.synthesis.loopshaping import ncfsyn
 from synth.synthesis.mixedsensitivity import augw, mixsyn
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.sampled import c2d
@@ -65,7 +66,7 @@ class Study:
         if design.plant.dt == 0 and "dt" not in self.gate:
             return None
         limited = "umin" in self.gate or "umax" in self.gate
-        plant = four_block(StateSpace.of(self.plant)) if self.problem == "loopshaping" and limited else None
+        plant = gang_of_four(StateSpace.of(self.plant)) if self.problem == "loopshaping" and limited else None
         gate = dict(self.gate)
         if gate.pop("antiwindup", False):
             gate["antiwindup"] = AntiWindup.of(design, gate.get("umin", -np.inf), gate.get("umax", np.inf)).L

@@ -140,7 +140,7 @@ def accept(
     if isinstance(design, Design) and design.shaping and plant is None and not (umin is None and umax is None):
         raise ModelError(
             "umin and umax limit the command u, but the file of a loop-shaping design holds the shaped plant W2 G W1 "
-            "only; pass the plant (four_block(G)) as well"
+            "only; pass the plant (gang_of_four(G)) as well"
         )
     first = _measured("designed", P, K, level, requirements.ratio)
     level = level or first.norm or np.inf
@@ -173,7 +173,9 @@ def _loop(design: Any, plant: Any) -> tuple[GeneralizedPlant, StateSpace, float 
     if isinstance(design, Design) and plant is None:
         return design.plant, design.closing, max(design.gamma, design.verified_norm)
     if not isinstance(plant, GeneralizedPlant):
-        raise ModelError("the controller comes without a plant; pass a GeneralizedPlant (four_block(G) for a plain G)")
+        raise ModelError(
+            "the controller comes without a plant; pass a GeneralizedPlant (gang_of_four(G) for a plain G)"
+        )
     K = design.controller if isinstance(design, Design) else StateSpace.of(design)
     common_timebase(plant.system, K)
     _, _, m, _, p = plant.sizes

@@ -1,8 +1,8 @@
 """A controller as C99: one header, one source, fixed sizes, no allocation, and a self test that compares bits.
 
-The arithmetic is that of `synth.regulators.sequential`: loops over the matrices, one rounded product after another. With
-``-std=c99`` (or ``-ffp-contract=off``) and IEEE arithmetic the same bits come out on every processor; the self test,
-compiled in with ``-DNAME_SELF_TEST``, says whether they do on yours.
+The arithmetic is that of `synth.regulators.sequential`: loops over the matrices, one rounded product after another.
+With ``-std=c99`` (or ``-ffp-contract=off``) and IEEE arithmetic the same bits come out on every processor; the self
+test, compiled in with ``-DNAME_SELF_TEST``, says whether they do on yours.
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from synth.analysis.coprime import ncfmargin
 from synth.analysis.gap import gapmetric
 from synth.analysis.norms import balance
 from synth.analysis.stabilitymargins import margins
@@ -17,7 +18,6 @@ from synth.delivery.plots import frequencies, sigma, sigma_plot
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.files import write_atomically
 from synth.synthesis.design import Design
-from synth.synthesis.loopshaping import ncfmargin
 from synth.systems.connect import series
 from synth.systems.statespace import StateSpace
 

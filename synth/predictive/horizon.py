@@ -7,8 +7,8 @@ Position form: |u|^2, d = 0. Velocity form: |du|^2 and d = x_0 - A x_{-1} - B u_
 foresee; with d held, x_{k+1} - x_k = A (x_k - x_{k-1}) + B du_k, the incremental model, which integrates.
 
 The problem is posed once in CVXPY (`pose`), where it reads as above. Its canonical quadratic program, whose vectors
-are affine in the measured data, is taken out once (`synth.predictive.parametricqp`) and then stepped by DAQP; CVXPY with Clarabel
-stays as the reference.
+are affine in the measured data, is taken out once (`synth.predictive.parametricqp`) and then stepped by DAQP; CVXPY
+with Clarabel stays as the reference.
 
 Signs and units: u is what acts on the plant, on a spacecraft the torque on the body. The actuators store the
 reaction, h_{k+1} = h_k - dt u_k, on a spacecraft the momentum of the wheels about the body axes in N m s.

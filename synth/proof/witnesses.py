@@ -27,9 +27,8 @@ from synth.errors import NumericalError
 from synth.proof import balls
 from synth.proof.balls import Coupling, Impulse, LowerWitness, Step, UpperWitness
 from synth.synthesis.hinf_riccati import RiccatiRoute
-from synth.synthesis.hinfinity import discretised
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.sampled import cayley_rate
+from synth.systems.sampled import cayley_rate, discretised
 from synth.systems.statespace import StateSpace
 
 DISTANCES = (

@@ -140,7 +140,8 @@ class SdreSampled:
 class SdreHinf:
     """Glover and McFarlane's robust controller of [Q^1/2] (sI - A)^-1 B [R^-1/2], at every sample anew.
 
-    An observer of x with a state feedback, of the level gamma = gamma_factor gamma_min (see `synth.synthesis.loopshaping`):
+    An observer of x with a state feedback, of the level gamma = gamma_factor gamma_min (see
+    `synth.synthesis.loopshaping`):
 
         dxh = A xh + B u + Z Q (x - xh),   u = -R^-1 B'Xg xh,   Xg = [(1 - g^-2) I - g^-2 X Z]^-1 X
 

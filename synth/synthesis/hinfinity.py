@@ -26,7 +26,7 @@ from synth.errors import InfeasibleError, ModelError, NumericalError, SynthError
 from synth.files import provenance
 from synth.synthesis.design import Design, Info
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.sampled import cayley, cayley_rate, inverse_cayley
+from synth.systems.sampled import discretised
 from synth.systems.statespace import StateSpace
 from synth.threads import one_thread
 
@@ -216,15 +216,6 @@ def as_plant(P: Any, nmeas: int | None, ncon: int | None) -> GeneralizedPlant:
     if n == 0:
         raise ModelError("the plant has no states (A is empty); add the dynamics to be controlled")
     return P
-
-
-def discretised(plant: GeneralizedPlant) -> tuple[GeneralizedPlant, Callable[[StateSpace], StateSpace]]:
-    """A discrete plant with the same norms, and the way back for its controllers."""
-    if plant.dt > 0:
-        return plant, lambda K: K
-    _, _, nu, _, ny = plant.sizes
-    rate = cayley_rate(plant.system)
-    return GeneralizedPlant.partition(cayley(plant.system, rate), ny, nu), lambda K: inverse_cayley(K, rate)
 
 
 def order_of_routes(method: str, n: int) -> tuple[str, ...]:

@@ -25,15 +25,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from synth.analysis.coprime import Solutions, balanced, closed_loop_moduli, discretised, solutions
-from synth.analysis.norms import balance, is_stable, verify
+from synth.analysis.coprime import Solutions, balanced, closed_loop_moduli, discretised, gang_of_four, solutions
+from synth.analysis.norms import balance, verify
 from synth.analysis.precondition import check_assumptions
 from synth.equations.doubling import FINAL_RESIDUAL
 from synth.errors import InfeasibleError, ModelError, NumericalError, VerificationError
 from synth.files import provenance
 from synth.synthesis.design import Design, Info, Shaping
 from synth.systems.connect import common_timebase, series
-from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace, as_matrix
 from synth.threads import one_thread
 
@@ -104,7 +103,7 @@ def ncfsyn(
     W1, Gs, W2 = shaped(StateSpace.of(G), W1, W2)
     if Gs.n == 0:
         raise ModelError("the shaped plant has no states; add the dynamics to be controlled")
-    plant = four_block(Gs)
+    plant = gang_of_four(Gs)
     check_assumptions(plant)
     riccati = solutions(Gs)
     optimum = optimal(Gs, riccati, method)
@@ -143,32 +142,6 @@ def ncfsyn(
     return Design(plant, shaping.controller, closed_loop, level, measured.norm, info, shaping)
 
 
-def ncfmargin(P: Any, K: Any, sign: int = -1) -> float:
-    """Margin b(P, K) = 1 / ||[I; K] (I - P K)^-1 [I, P]||, between 0 and 1; 0 for an unstable loop.
-
-    Parameters
-    ----------
-    P : (p x m) plant; K : (m x p) controller; StateSpace, control.StateSpace or (A, B, C, D, dt)
-    sign : -1 for negative feedback u = -K y (default), +1 for u = K y, the convention of `ncfsyn`
-
-    Returns
-    -------
-    float, from the verified bound on the norm: within 1e-7 of the margin, and never above it unless rounding forbids
-
-    Raises
-    ------
-    ModelError : shapes or timebases disagree, the loop is not well posed, `sign` is neither -1 nor 1.
-    VerificationError : the loop is stable but too ill-conditioned to be measured.
-
-    Reference: Vinnicombe (2001), Uncertainty and Feedback, section 2.2.
-    """
-    P, K = StateSpace.of(P), StateSpace.of(K)
-    if sign not in (-1, 1):
-        raise ModelError(f"sign is {sign!r}; pass -1 (negative feedback) or 1 (positive feedback)")
-    loop = four_block(P).close(K if sign == 1 else -K)
-    return 1 / verify(loop).norm if is_stable(loop) else 0.0
-
-
 def shaped(G: StateSpace, W1: Any, W2: Any) -> tuple[StateSpace, StateSpace, StateSpace]:
     """W1, the shaped plant W2 G W1 with balanced states, and W2."""
     weights = []
@@ -187,25 +160,6 @@ def _weight(name: str, W: Any, dt: float) -> StateSpace:
     if not isinstance(W, int | float | np.ndarray | list):
         return StateSpace.of(W)
     return StateSpace.gain(as_matrix(name, W), dt)
-
-
-def four_block(G: StateSpace) -> GeneralizedPlant:
-    """The plant whose loop under u = K y is [I; K] (I - G K)^-1 [I, G], from (output, input) disturbances to (y, u)."""
-    p, m, I, O = G.ny, G.nu, np.eye, np.zeros
-    return GeneralizedPlant(
-        A=G.A,
-        B1=np.hstack([O((G.n, p)), G.B]),
-        B2=G.B,
-        C1=np.vstack([G.C, O((m, G.n))]),
-        D11=np.block([[I(p), G.D], [O((m, p)), O((m, m))]]),
-        D12=np.vstack([G.D, I(m)]),
-        C2=G.C,
-        D21=np.hstack([I(p), G.D]),
-        D22=G.D,
-        dt=G.dt,
-        w=(*(f"output disturbance {i}" for i in range(p)), *(f"input disturbance {i}" for i in range(m))),
-        z=(*(f"output {i}" for i in range(p)), *(f"input {i}" for i in range(m))),
-    )
 
 
 def optimal(G: StateSpace, riccati: Solutions, method: str) -> Optimum:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import scipy.linalg as sla
 
 from synth.errors import ModelError
+from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace, as_timebase, is_singular
 
 
@@ -74,3 +77,12 @@ def inverse_cayley(G: StateSpace, rate: float) -> StateSpace:
     C = np.sqrt(2 * rate) * np.linalg.solve(E.T, G.C.T).T
     D = G.D - G.C @ np.linalg.solve(E, G.B)
     return StateSpace(A, B, C, D, 0.0)
+
+
+def discretised(plant: GeneralizedPlant) -> tuple[GeneralizedPlant, Callable[[StateSpace], StateSpace]]:
+    """A discrete plant with the same norms, and the way back for its controllers."""
+    if plant.dt > 0:
+        return plant, lambda K: K
+    _, _, nu, _, ny = plant.sizes
+    rate = cayley_rate(plant.system)
+    return GeneralizedPlant.partition(cayley(plant.system, rate), ny, nu), lambda K: inverse_cayley(K, rate)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from plants.dynamics import attitude
+from plants.geometry import attitude
 
 TIGHT = dict(rtol=0, atol=5e-15)  # a handful of roundings of numbers of size one
 

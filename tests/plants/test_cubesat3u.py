@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
-from plants.dynamics import attitude
 from plants.errors import ScenarioError
+from plants.geometry import attitude
 from plants.missions import cubesat3u
 from plants.surroundings.disturbances import seen_from
 

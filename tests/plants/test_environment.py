@@ -8,8 +8,8 @@ import numpy as np
 import ppigrf
 import pytest
 
-from plants.dynamics import attitude
 from plants.errors import ScenarioError
+from plants.geometry import attitude
 from plants.surroundings import environment, orbit
 from plants.surroundings.environment import Atmosphere, CircularEnvironment, Environment, FreeSpace
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from plants.dynamics import attitude
 from plants.dynamics.eulerbody import EulerBody, EulerState, RandomTorque, TorqueEnv, check_pitch, kinematics
 from plants.errors import ScenarioError, SingularityError
+from plants.geometry import attitude
 from plants.simulation.linearize import linearize
 from plants.simulation.simulate import Loop, Scenario, simulate_many
 

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from plants.dynamics import attitude
 from plants.dynamics.rigidbody import BodyState, RigidBody, state_from
 from plants.errors import ScenarioError
+from plants.geometry import attitude
 from plants.missions import cubesat3u
 from plants.simulation.linearize import linearize
 from plants.surroundings import orbit

@@ -9,10 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from plants.dynamics import attitude
 from plants.dynamics.rigidbody import BodyState, state_from
 from plants.errors import ScenarioError
 from plants.estimation import navigation
+from plants.geometry import attitude
 from plants.missions import cubesat3u
 from plants.simulation.simulate import Loop, Scenario, simulate_many
 from plants.surroundings.environment import FreeSpace

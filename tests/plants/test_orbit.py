@@ -6,8 +6,8 @@ import jax
 import numpy as np
 import pytest
 
-from plants.dynamics import attitude
 from plants.errors import ScenarioError
+from plants.geometry import attitude
 from plants.surroundings import orbit
 from plants.surroundings.orbit import J2, MU, Orbit
 

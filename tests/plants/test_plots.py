@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from plants.errors import ScenarioError
+from plants.outcome.plots import campaign_plot, run_plot
 from plants.simulation.campaign import Campaign
 from plants.simulation.loop import Run
 
@@ -49,7 +50,7 @@ def campaign():
 
 
 def test_outputs_reference_and_commands_of_a_run(run):
-    axes = run.plot()
+    axes = run_plot(run)
     assert [ax.get_ylabel() for ax in axes] == ["y0", "y1", "u0"]
     assert axes[-1].get_xlabel() == "time, s"
     for i in range(2):
@@ -66,7 +67,7 @@ def test_chosen_columns_on_the_callers_axes_in_the_callers_style(run):
     with mpl.rc_context({"lines.linewidth": 7.0}):
         fig, axes = plt.subplots(2)
         before = dict(mpl.rcParams)
-        returned = run.plot(axes, outputs=[1], commands=[0], names=("q, 1", "T, N m"), label="PD")
+        returned = run_plot(run, axes, outputs=[1], commands=[0], names=("q, 1", "T, N m"), label="PD")
         assert dict(mpl.rcParams) == before
     assert list(returned) == list(axes)
     assert plt.get_fignums() == [fig.number]
@@ -77,18 +78,18 @@ def test_chosen_columns_on_the_callers_axes_in_the_callers_style(run):
 
 
 def test_outputs_alone(run):
-    (ax,) = run.plot(outputs=[0], commands=[])
+    (ax,) = run_plot(run, outputs=[0], commands=[])
     assert ax.get_legend() is not None
 
 
 def test_a_failed_run_says_so(run):
     failed = dataclasses.replace(run, ok=False, failed_at=2.5, culprit="controller")
-    assert failed.plot()[0].get_title() == "failed at 2.5 s: controller"
-    assert run.plot()[0].get_title() == ""
+    assert run_plot(failed)[0].get_title() == "failed at 2.5 s: controller"
+    assert run_plot(run)[0].get_title() == ""
 
 
 def test_distributions_count_failed_runs(campaign):
-    axes = dict(zip(("angle", "time", "settled"), campaign.plot(), strict=True))
+    axes = dict(zip(("angle", "time", "settled"), campaign_plot(campaign), strict=True))
     assert [ax.get_title() for ax in axes.values()] == ["angle", "time", "settled"]
     (line,) = axes["time"].lines
     np.testing.assert_array_equal(line.get_xdata(), [10, 10, 20, 30])
@@ -100,7 +101,7 @@ def test_distributions_count_failed_runs(campaign):
 def test_campaigns_share_axes(campaign):
     _, ax = plt.subplots()
     for name in ("one", "two"):
-        assert list(campaign.plot(ax, results=["time"], label=name)) == [ax]
+        assert list(campaign_plot(campaign, ax, results=["time"], label=name)) == [ax]
     assert [line.get_label() for line in ax.lines] == ["one", "two"]
 
 
@@ -115,11 +116,11 @@ def test_campaigns_share_axes(campaign):
 )
 def test_what_a_run_has_not_is_refused(run, options, message):
     with pytest.raises(ScenarioError, match=message):
-        run.plot(**options)
+        run_plot(run, **options)
 
 
 def test_what_a_campaign_has_not_is_refused(campaign):
     with pytest.raises(ScenarioError, match="no 'ape'; it has angle, time, settled"):
-        campaign.plot(results=["ape"])
+        campaign_plot(campaign, results=["ape"])
     with pytest.raises(ScenarioError, match="holds 1 axes: 3"):
-        campaign.plot(plt.subplots()[1])
+        campaign_plot(campaign, plt.subplots()[1])

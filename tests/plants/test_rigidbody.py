@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from plants.dynamics import attitude
 from plants.dynamics.rigidbody import BodyState, RigidBody, state_from
 from plants.errors import ScenarioError
+from plants.geometry import attitude
 from plants.simulation.simulate import Loop, Scenario, simulate
 from plants.surroundings import orbit
 from plants.surroundings.disturbances import ConstantTorque, GravityGradient

@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from plants.dynamics import attitude
 from plants.dynamics.rigidbody import BodyState
 from plants.errors import ScenarioError
+from plants.geometry import attitude
 from plants.hardware import sensors
 from plants.surroundings.environment import FreeSpace
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from literature import compleib, cubesat_pecorilla2024
 
+from synth.analysis.coprime import gang_of_four
 from synth.analysis.norms import hinfnorm
 from synth.analysis.stabilitymargins import margins
 from synth.delivery.acceptance import Acceptance, Requirements, accept, inner, simulate
@@ -12,7 +13,7 @@ from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.sequential import SequentialController
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import hinfsyn
-from synth.synthesis.loopshaping import four_block, ncfsyn
+from synth.synthesis.loopshaping import ncfsyn
 from synth.systems.connect import delayed
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.sampled import c2d
@@ -103,7 +104,7 @@ def test_a_continuous_design_needs_its_sampling_time():
 
 def loop(a: float, k: float, dt: float = 1.0) -> tuple[StateSpace, GeneralizedPlant]:
     """u = -k y on x+ = a x + u."""
-    return static(-k, dt), four_block(StateSpace([[a]], [[1.0]], [[1.0]], [[0.0]], dt))
+    return static(-k, dt), gang_of_four(StateSpace([[a]], [[1.0]], [[1.0]], [[0.0]], dt))
 
 
 def test_one_sample_of_delay_destabilises_what_has_no_room():
@@ -146,7 +147,7 @@ def test_loop_shaping_saturates_on_its_plant_with_anti_windup():
     with pytest.raises(ModelError, match="shaped plant W2 G W1 only"):
         accept(design, umin=-1, umax=1)
     L = AntiWindup.of(design, -1, 1).L
-    found = lines(accept(design, four_block(G), umin=-1, umax=1, antiwindup=L))
+    found = lines(accept(design, gang_of_four(G), umin=-1, umax=1, antiwindup=L))
     assert found["saturation"].passed
     assert found["designed"].ratio == 1
 

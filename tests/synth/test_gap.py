@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.signal import tf2ss
 
-from synth.analysis.coprime import discretised, right_factors
+from synth.analysis.coprime import discretised, ncfmargin, right_factors
 from synth.analysis.gap import gapmetric
 from synth.errors import AssumptionError, ModelError
-from synth.synthesis.loopshaping import ncfmargin, ncfsyn
+from synth.synthesis.loopshaping import ncfsyn
 from synth.systems.sampled import c2d
 from synth.systems.statespace import StateSpace
 

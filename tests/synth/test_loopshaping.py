@@ -8,13 +8,13 @@ import pytest
 from literature import DATA
 from scipy.signal import tf2ss
 
-from synth.analysis.coprime import solutions
+from synth.analysis.coprime import gang_of_four, ncfmargin, solutions
 from synth.analysis.norms import hinfnorm, is_stable
 from synth.errors import AssumptionError, InfeasibleError, ModelError, VerificationError
 from synth.lmi import coprime as program
 from synth.synthesis.design import Design, to_dict
 from synth.synthesis.hinfinity import hinfsyn
-from synth.synthesis.loopshaping import four_block, ncfmargin, ncfsyn, observer_controller
+from synth.synthesis.loopshaping import ncfsyn, observer_controller
 from synth.systems.connect import feedback, series
 from synth.systems.sampled import c2d
 from synth.systems.statespace import StateSpace
@@ -105,14 +105,14 @@ def test_slicot_optimal_continuous_controller_reaches_our_optimum():
     design = ncfsyn(G)
     assert factor == 1
     assert design.info.gamma_min == pytest.approx(3.320916379195, rel=KNOWN)
-    assert hinfnorm(four_block(G).close(K))[0] == pytest.approx(design.info.gamma_min, rel=1e-4)
+    assert hinfnorm(gang_of_four(G).close(K))[0] == pytest.approx(design.info.gamma_min, rel=1e-4)
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.5])
 @pytest.mark.parametrize("seed", [1, 4, 11])
 def test_the_four_block_problem_solved_as_any_other_has_the_same_optimum(seed, dt):
     G = random_system(seed, dt)
-    ours, theirs = ncfsyn(G), hinfsyn(four_block(G), method="lmi")
+    ours, theirs = ncfsyn(G), hinfsyn(gang_of_four(G), method="lmi")
     assert ours.info.gamma_min == pytest.approx(theirs.gamma, rel=1e-4)
 
 
@@ -121,7 +121,7 @@ def check_random(systems) -> None:
     for G in systems:
         design = ncfsyn(G)
         assert is_stable(design.closed_loop)
-        assert hinfnorm(four_block(G).close(design.controller))[0] <= design.gamma
+        assert hinfnorm(gang_of_four(G).close(design.controller))[0] <= design.gamma
         other = ncfsyn(G, method="riccati").info.gamma_min
         if other < 100:
             assert design.info.method == "lmi"

@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
-from synth.analysis.coprime import solutions
+from synth.analysis.coprime import ncfmargin, solutions
 from synth.errors import AssumptionError, ModelError
 from synth.regulators import sdre
 from synth.regulators.controller import LinearController
 from synth.regulators.quaternion import QuaternionPid, quaternion_lqr, quaternion_pd, quaternion_pid
 from synth.regulators.sdc import MrpModel, QuaternionModel
 from synth.regulators.sdre import Sdre, SdreHinf, SdreHinfPaperLiteral, SdreHinfStatic
-from synth.synthesis.loopshaping import ncfmargin
 from synth.systems.statespace import StateSpace
 
 INERTIA = np.array([[310, 1.11, 1.01], [1.11, 360, -0.35], [1.01, -0.35, 530.7]])  # kg m^2, Romero and Souza, table 1
