@@ -31,7 +31,7 @@ from synth.delivery.origin import Origin
 from synth.errors import ExportError
 from synth.regulators.sequential import SequentialController
 
-PACKAGE = resources.files("synth.delivery.formats") / "fmi"
+PACKAGE = resources.files("synth.delivery") / "fmi"
 HEADERS = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),

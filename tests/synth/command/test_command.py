@@ -21,7 +21,7 @@ from synth.synthesis.loopshaping import ncfsyn
 from synth.systems.sampled import c2d
 from synth.systems.statespace import StateSpace
 
-STUDY = Path(__file__).parents[2] / "examples" / "cubesat3u.toml"
+STUDY = Path(__file__).parents[3] / "examples" / "cubesat3u.toml"
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from plants.geometry import attitude
 from plants.surroundings import orbit
 from plants.surroundings.orbit import J2, MU, Orbit
 
-DATA = Path(__file__).parent.parent / "data"
+DATA = Path(__file__).parents[2] / "data"
 LOW = orbit.circular(470e3, np.deg2rad(51.6), 2.0, 0.4)
 
 

@@ -17,7 +17,7 @@ from plants.surroundings import orbit
 from plants.surroundings.disturbances import ConstantTorque, GravityGradient
 from plants.surroundings.environment import CircularEnvironment, Environment, FreeSpace
 
-DATA = Path(__file__).parent.parent / "data"
+DATA = Path(__file__).parents[2] / "data"
 FULL = np.array([[310, 1.11, 1.01], [1.11, 360, -0.35], [1.01, -0.35, 530.7]]) / 1e3  # kg m^2, no symmetry
 PYRAMID = np.array([[1, -1, 0, 0], [0, 0, 1, -1], [1, 1, 1, 1]]) / np.sqrt(2)  # four wheels
 
