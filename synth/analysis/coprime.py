@@ -22,11 +22,12 @@ import numpy as np
 import scipy.linalg as sla
 
 from synth.analysis.norms import is_stable, spectral_radius, verify
+from synth.checks import as_sign
 from synth.equations.doubling import Riccati, is_nonnegative, is_positive, solve_riccati
-from synth.errors import ModelError, NumericalError
+from synth.errors import NumericalError
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.sampled import cayley
-from synth.systems.statespace import StateSpace
+from synth.systems.statespace import StateSpace, as_system, as_systems
 
 NEGLIGIBLE = 1e-8  # of the largest LQG singular value; below it they are rounding
 APART = 0.1  # relative distance of the Cayley rate from every pole
@@ -50,7 +51,7 @@ def ncfmargin(P: Any, K: Any, sign: int = -1) -> float:
 
     Parameters
     ----------
-    P : (p x m) plant; K : (m x p) controller; StateSpace, control.StateSpace or (A, B, C, D, dt)
+    P : (p x m) plant; K : (m x p) controller; in any form that `system` takes
     sign : -1 for negative feedback u = -K y (default), +1 for u = K y, the convention of `ncfsyn`
 
     Returns
@@ -64,15 +65,18 @@ def ncfmargin(P: Any, K: Any, sign: int = -1) -> float:
 
     Reference: Vinnicombe (2001), Uncertainty and Feedback, section 2.2.
     """
-    P, K = StateSpace.of(P), StateSpace.of(K)
-    if sign not in (-1, 1):
-        raise ModelError(f"sign is {sign!r}; pass -1 (negative feedback) or 1 (positive feedback)")
+    P, K = as_systems(P=P, K=K)
+    sign = as_sign(sign)
     loop = gang_of_four(P).close(K if sign == 1 else -K)
     return 1 / verify(loop).norm if is_stable(loop) else 0.0
 
 
-def gang_of_four(G: StateSpace) -> GeneralizedPlant:
-    """The plant whose loop under u = K y is [I; K] (I - G K)^-1 [I, G], from (output, input) disturbances to (y, u)."""
+def gang_of_four(G: Any) -> GeneralizedPlant:
+    """The plant whose loop under u = K y is [I; K] (I - G K)^-1 [I, G], from (output, input) disturbances to (y, u).
+
+    G is (p x m), in any form that `system` takes.
+    """
+    G = as_system("G", G)
     p, m, I, O = G.ny, G.nu, np.eye, np.zeros
     return GeneralizedPlant(
         A=G.A,

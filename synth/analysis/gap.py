@@ -27,8 +27,8 @@ from synth.analysis.norms import balance, hinfnorm, spectral_radius
 from synth.analysis.precondition import check_assumptions
 from synth.equations.doubling import is_positive, solve_riccati
 from synth.errors import ModelError
-from synth.systems.connect import common_timebase, series
-from synth.systems.statespace import StateSpace
+from synth.systems.connect import series
+from synth.systems.statespace import StateSpace, as_systems
 
 TOLERANCE = 1e-9  # of the gap, absolute
 
@@ -48,7 +48,7 @@ def gapmetric(G1: Any, G2: Any) -> Gap:
 
     Parameters
     ----------
-    G1, G2 : (p x m) StateSpace, control.StateSpace or (A, B, C, D, dt)
+    G1, G2 : (p x m) plants, in any form that `system` takes
 
     Returns
     -------
@@ -63,8 +63,7 @@ def gapmetric(G1: Any, G2: Any) -> Gap:
 
     References: Vinnicombe (1993), IEEE TAC 38, 1371; Georgiou and Smith (1990), IEEE TAC 35, 673.
     """
-    G1, G2 = balance(StateSpace.of(G1)), balance(StateSpace.of(G2))
-    common_timebase(G1, G2)
+    G1, G2 = map(balance, as_systems(G1=G1, G2=G2))
     if (G1.ny, G1.nu) != (G2.ny, G2.nu):
         raise ModelError(f"G1 is {G1.ny} x {G1.nu}, G2 is {G2.ny} x {G2.nu}; a gap needs plants of the same size")
     for G in (G1, G2):

@@ -23,7 +23,7 @@ from scipy.optimize import minimize_scalar
 
 from synth.errors import NumericalError, VerificationError
 from synth.systems.sampled import cayley, cayley_rate
-from synth.systems.statespace import StateSpace
+from synth.systems.statespace import StateSpace, as_system
 from synth.threads import one_thread
 
 CONFIRM = (*(10.0**k for k in range(-7, 9)),)  # relative margins at which the second method confirms the first
@@ -61,7 +61,7 @@ def h2norm(system: Any) -> float:
 
     Reference: Zhou, Doyle and Glover (1996), Robust and Optimal Control, section 4.6.
     """
-    G = balance(StateSpace.of(system))
+    G = balance(as_system("the system", system))
     if not is_stable(G) or (not G.discrete and np.any(G.D)):
         return np.inf
     if G.n == 0:
@@ -80,7 +80,7 @@ def hinfnorm(system: Any, tol: float = 1e-7) -> tuple[float, float]:
     inf for an unstable system, with the frequency of the pole that is farthest out. The value is a singular value
     evaluated at the returned frequency; `verify` confirms it from above.
     """
-    G = StateSpace.of(system)
+    G = as_system("the system", system)
     if not is_stable(G):
         poles = G.poles()
         worst = poles[np.argmax(np.abs(poles) if G.discrete else np.real(poles))]
@@ -111,7 +111,7 @@ def verify(system: Any) -> Verification:
     ------
     VerificationError : the system is not stable, or the second method confirms no level near the first.
     """
-    G = StateSpace.of(system)
+    G = as_system("the system", system)
     poles = G.poles()
     radius = spectral_radius(G.A) if G.discrete else float(np.real(poles).max(initial=-np.inf))
     if not is_stable(G):

@@ -25,10 +25,11 @@ from scipy.optimize import root_scalar
 
 from synth.analysis.coprime import ncfmargin
 from synth.analysis.norms import balance, hinfnorm, is_stable
+from synth.checks import as_sign
 from synth.errors import ModelError
-from synth.systems.connect import common_timebase, delayed, feedback, lft, series
+from synth.systems.connect import delayed, feedback, lft, series
 from synth.systems.sampled import cayley, cayley_rate
-from synth.systems.statespace import StateSpace
+from synth.systems.statespace import StateSpace, as_system, as_systems
 
 NEAR_CIRCLE = 1e-4  # an eigenvalue this near the unit circle is a candidate; candidates are then polished
 REAL = 1e-6  # |Im L| / |L| up to which a polished candidate counts as real
@@ -116,7 +117,7 @@ def margin(L: Any, sign: int = -1) -> Margin:
 
     Parameters
     ----------
-    L : loop transfer function, 1 x 1 StateSpace, control.StateSpace or (A, B, C, D, dt)
+    L : loop transfer function of one signal, in any form that `system` takes
     sign : -1 for negative feedback 1 + L (default), +1 for 1 - L
 
     Raises
@@ -157,7 +158,7 @@ def diskmargin(L: Any, sign: int = -1) -> DiskMargin:
 
     Parameters
     ----------
-    L : (m x m) loop transfer matrix: StateSpace, control.StateSpace or (A, B, C, D, dt)
+    L : (m x m) loop transfer matrix, in any form that `system` takes
     sign : -1 for negative feedback (default), +1 for positive
 
     Raises
@@ -181,15 +182,14 @@ def margins(P: Any, K: Any, sign: int = -1) -> Margins:
 
     Parameters
     ----------
-    P : (p x m) plant; K : (m x p) controller; StateSpace, control.StateSpace or (A, B, C, D, dt)
+    P : (p x m) plant; K : (m x p) controller; in any form that `system` takes
     sign : -1 for negative feedback u = -K y (default), +1 for u = K y, the convention of `hinfsyn` and `ncfsyn`
 
     Raises
     ------
     ModelError : sizes or timebases disagree, a loop is not well posed, `sign` is neither -1 nor 1.
     """
-    P, K = StateSpace.of(P), StateSpace.of(K)
-    common_timebase(P, K)
+    P, K = as_systems(P=P, K=K)
     if (K.ny, K.nu) != (P.nu, P.ny):
         raise ModelError(f"K is {K.ny} x {K.nu}; the {P.ny} x {P.nu} plant needs {P.nu} x {P.ny}")
     at_input, at_output = _negative(series(P, K), sign), _negative(series(K, P), sign)
@@ -214,10 +214,8 @@ def one_loop(L: StateSpace, i: int) -> StateSpace:
 
 def _negative(L: Any, sign: int) -> StateSpace:
     """The loop for negative feedback."""
-    if sign not in (-1, 1):
-        raise ModelError(f"sign is {sign!r}; pass -1 (negative feedback) or 1 (positive feedback)")
-    L = StateSpace.of(L)
-    return L if sign == -1 else -L
+    L = as_system("L", L)
+    return L if as_sign(sign) == -1 else -L
 
 
 def _closed_loop_stable(L: StateSpace) -> bool:

@@ -24,14 +24,15 @@ import numpy as np
 
 from synth.analysis.norms import is_stable, spectral_radius, verify
 from synth.analysis.stabilitymargins import Margins, margins
+from synth.checks import as_number, shown
 from synth.errors import ExportError, ModelError, SynthError
 from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.sequential import SequentialController
 from synth.synthesis.design import Design
-from synth.systems.connect import common_timebase, delayed
+from synth.systems.connect import delayed
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.sampled import c2d
-from synth.systems.statespace import StateSpace
+from synth.systems.statespace import StateSpace, as_system, common_timebase
 from synth.threads import one_thread
 
 RETURNED = 1e-2  # of the linear response's peak
@@ -58,8 +59,8 @@ class Requirements:
 
     def __post_init__(self):
         for name, value in vars(self).items():
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise ModelError(f"{name} is {value!r}; require a positive number, or None for nothing")
+            if value is not None:
+                as_number(name, value, "a positive number, or None for nothing", above=0)
 
 
 @dataclass(frozen=True)
@@ -135,8 +136,9 @@ def accept(
             raise ModelError("umin, umax or antiwindup is given, but an AntiWindup has its own; leave them away")
         umin, umax, antiwindup = design.umin, design.umax, design.L
     P, K, level = _loop(design, plant)
-    if not (np.isfinite(overload) and overload > 1):
-        raise ModelError(f"overload is {overload!r}; pass a number above 1, or the commands would not saturate")
+    overload = as_number("overload", overload, "a number above 1, or the commands would not saturate", above=1)
+    if not isinstance(requirements, Requirements):
+        raise ModelError(f"requirements is {shown(requirements)}; pass Requirements(...), or None for the defaults")
     if isinstance(design, Design) and design.shaping and plant is None and not (umin is None and umax is None):
         raise ModelError(
             "umin and umax limit the command u, but the file of a loop-shaping design holds the shaped plant W2 G W1 "
@@ -176,7 +178,7 @@ def _loop(design: Any, plant: Any) -> tuple[GeneralizedPlant, StateSpace, float 
         raise ModelError(
             "the controller comes without a plant; pass a GeneralizedPlant (gang_of_four(G) for a plain G)"
         )
-    K = design.controller if isinstance(design, Design) else StateSpace.of(design)
+    K = design.controller if isinstance(design, Design) else as_system("the controller", design, plant.dt)
     common_timebase(plant.system, K)
     _, _, m, _, p = plant.sizes
     if (K.ny, K.nu) != (m, p):

@@ -22,13 +22,14 @@ from typing import Any
 
 import numpy as np
 
+from synth.checks import as_limits, as_matrix
 from synth.errors import ModelError
 from synth.files import write_atomically
-from synth.regulators.antiwindup import AntiWindup, as_limits
+from synth.regulators.antiwindup import AntiWindup
 from synth.synthesis import design as designs
 from synth.synthesis.design import Design
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace, as_matrix
+from synth.systems.statespace import StateSpace
 
 SYSTEM = "convex-synth system"
 CONTROLLER = "convex-synth controller"

@@ -25,11 +25,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import scipy.linalg as sla
 
+from synth.checks import as_limits, as_matrix, as_number, as_period, as_vector, as_whole
 from synth.errors import ModelError, NumericalError
-from synth.predictive.horizon import count, limits
 from synth.predictive.parametriclp import ParametricLp, canonicalise
 from synth.systems.sampled import c2d
-from synth.systems.statespace import StateSpace, as_matrix
+from synth.systems.statespace import StateSpace, as_system
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -122,7 +122,8 @@ def fuel_mpc(
 
     Parameters
     ----------
-    model : discrete system: m inputs whose integral of |u| is the fuel (accelerations), q outputs without direct term
+    model : discrete system in any form that `system` takes: m inputs whose integral of |u| is the fuel
+        (accelerations), q outputs without direct term
     box : scalar or (q,) half-widths, units of y
     umax : scalar or (m,) limits of |u|
     horizon : samples ahead; the box is to be seen from where it begins to count
@@ -135,19 +136,18 @@ def fuel_mpc(
     ------
     ModelError : an argument is not valid; the message names it, its value and the remedy.
     """
-    model = StateSpace.of(model)
+    model = as_system("model", model)
     if not model.discrete:
         raise ModelError(f"model has dt = {model.dt}; discretise it with c2d at the control period first")
     if model.D.any():
         raise ModelError("model has a direct term D; the outputs kept in a box are to be functions of the state")
-    count("horizon", horizon, 1)
-    count("settle", settle, 0)
-    widths, thrust = limits("box", box, model.ny), limits("umax", umax, model.nu)
+    as_whole("horizon", horizon, "a whole number of samples, at least 1", least=1)
+    as_whole("settle", settle, "a whole number of samples, at least 0", least=0)
+    widths, thrust = as_limits("box", box, model.ny, ()), as_limits("umax", umax, model.nu, ())
     for name, value in (("box", widths), ("umax", thrust)):
         if not (value > 0).all():
             raise ModelError(f"{name} is {value}; pass positive numbers")
-    if not (np.isfinite(penalty) and penalty > 0):
-        raise ModelError(f"penalty is {penalty}; pass a positive number")
+    penalty = as_number("penalty", penalty, "a positive number", above=0)
     known = np.zeros((0, model.n)) if forecast is None else as_matrix("forecast", forecast, (None, model.n))
     problem, room, variables = pose(model, widths, thrust, horizon, penalty)
     lp = canonicalise(problem, room, variables)
@@ -202,7 +202,7 @@ def minimum_fuel(G: Any, free: Any, box: Any, *, dt: float, settle: int = 1) -> 
 
     Parameters
     ----------
-    G : continuous system: m inputs, q outputs, without direct term
+    G : continuous system in any form that `system` takes: m inputs, q outputs, without direct term
     free : (samples + 1, q) outputs without control at times 0, dt, 2 dt, ..., with whatever acts on the plant;
         `free_motion` gives those of G alone
     box : scalar or (q,) half-widths
@@ -221,16 +221,17 @@ def minimum_fuel(G: Any, free: Any, box: Any, *, dt: float, settle: int = 1) -> 
     """
     import cvxpy as cp
 
-    G = StateSpace.of(G)
+    G = as_system("G", G)
     if G.discrete or G.D.any():
         raise ModelError(f"G has dt = {G.dt} and |D| = {np.abs(G.D).max():g}; pass a continuous system without D")
     f = as_matrix("free", free, (None, G.ny))
-    widths, K, q, m = limits("box", box, G.ny), len(f) - 1, G.ny, G.nu
-    count("settle", settle, 1)
+    widths, K, q, m = as_limits("box", box, G.ny, ()), len(f) - 1, G.ny, G.nu
+    as_whole("settle", settle, "a whole number of samples, at least 1", least=1)
     if settle > K:
         raise ModelError(f"settle is {settle}, free ends at sample {K}; the box never counts")
     if not (widths > 0).all():
         raise ModelError(f"box is {widths}; pass positive half-widths")
+    dt = as_period(dt)
     Phi = c2d(G, dt).A
     moves = response(StateSpace(Phi, Phi @ G.B, G.C, G.D, dt), K)  # of impulses
     scale = np.tile(widths, K - settle + 1)
@@ -286,8 +287,9 @@ def free_motion(G: Any, x0: Any, *, dt: float, samples: int, held: Any = None) -
     ------
     ModelError : G is discrete, or a shape does not fit.
     """
-    G = c2d(StateSpace.of(G), dt)
-    x = as_matrix("x0", x0, (1, G.n))[0]
+    G = c2d(G, dt)
+    x = as_vector("x0", x0, G.n)
+    as_whole("samples", samples, "a whole number of samples, at least 1", least=1)
     inputs = np.zeros((samples, G.nu)) if held is None else as_matrix("held", held, (samples, G.nu))
     y = [G.C @ x]
     for u in inputs:

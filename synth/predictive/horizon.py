@@ -25,9 +25,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from synth.checks import as_choice, as_cost, as_limits, as_number, as_whole
 from synth.errors import ModelError, NumericalError
 from synth.predictive.parametricqp import CLARABEL_SETTINGS, ParametricQp, canonicalise
-from synth.systems.statespace import StateSpace, as_matrix
+from synth.systems.statespace import StateSpace, as_system
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -270,8 +271,9 @@ def mpc(
 
     Parameters
     ----------
-    model : discrete system whose outputs are its n states; m inputs
-    Q : (n, n) weight of the error r - x, symmetric positive semidefinite
+    model : discrete system, in any form that `system` takes, whose outputs are its n states; m inputs
+    Q : (n, n) weight of the error r - x, symmetric positive semidefinite; of all weights a number stands for that
+        multiple of the identity, a list for a diagonal
     R : (m, m) weight of u (position form) or of its increments (velocity form), symmetric positive definite
     Np, Nc : prediction and control horizon in samples, 1 <= Nc <= Np; u is held beyond Nc
     umin, umax : scalar or (m,) hard limits of u
@@ -290,7 +292,7 @@ def mpc(
     ModelError : an argument is not valid; the message names it, its value and the remedy.
     NumericalError : R is too small to make the program solvable in double precision.
     """
-    model = StateSpace.of(model)
+    model = as_system("model", model)
     n, m = model.n, model.nu
     if not model.discrete:
         raise ModelError(f"model has dt = {model.dt}; discretise it with c2d at the control period first")
@@ -298,31 +300,28 @@ def mpc(
         raise ModelError(
             "model has outputs other than its state; pass C = I, D = 0 and feed the controller an estimate"
         )
-    if form not in ("velocity", "position"):
-        raise ModelError(f"form is {form!r}; pass 'velocity' or 'position'")
-    count("Np", Np, 1)
-    count("Nc", Nc, 1)
-    count("delay", delay, 0)
+    as_choice("form", form, ("velocity", "position"))
+    for name, value, least in (("Np", Np, 1), ("Nc", Nc, 1), ("delay", delay, 0)):
+        as_whole(name, value, f"a whole number of samples, at least {least}", least=least)
     if Nc > Np:
         raise ModelError(f"Nc is {Nc}, beyond Np = {Np}; a control horizon ends within the prediction horizon")
-    if not (np.isfinite(penalty) and penalty > 0):
-        raise ModelError(f"penalty is {penalty}; pass a positive number")
+    penalty = as_number("penalty", penalty, "a positive number", above=0)
     inf = np.inf
     problem = MpcProblem(
         model=model,
-        Q=weight("Q", Q, n),
-        R=weight("R", R, m, definite=True),
-        terminal=weight("terminal", Q if terminal is None else terminal, n),
+        Q=as_cost("Q", Q, n),
+        R=as_cost("R", R, m, definite=True),
+        terminal=as_cost("terminal", Q if terminal is None else terminal, n),
         Np=Np,
         Nc=Nc,
-        umin=limits("umin", umin, m),
-        umax=limits("umax", umax, m),
+        umin=as_limits("umin", umin, m, ()),
+        umax=as_limits("umax", umax, m, ()),
         form=form,
-        ymin=limits("ymin", -inf if ymin is None else ymin, n, open_end=-inf),
-        ymax=limits("ymax", inf if ymax is None else ymax, n, open_end=inf),
-        hmax=limits("hmax", inf if hmax is None else hmax, m, open_end=inf),
+        ymin=as_limits("ymin", -inf if ymin is None else ymin, n, (-inf,)),
+        ymax=as_limits("ymax", inf if ymax is None else ymax, n, (inf,)),
+        hmax=as_limits("hmax", inf if hmax is None else hmax, m, (inf,)),
         delay=delay,
-        penalty=float(penalty),
+        penalty=penalty,
     )
     for low, high in (("umin", "umax"), ("ymin", "ymax")):
         below, above = getattr(problem, low), getattr(problem, high)
@@ -333,36 +332,3 @@ def mpc(
         raise ModelError(f"hmax is {problem.hmax}; pass positive limits")
     posed = pose(problem)
     return Mpc(problem=problem, qp=canonicalise(posed.problem, posed.phi, posed.variables))
-
-
-def count(name: str, value: Any, least: int) -> None:
-    """A whole number of samples, or a ModelError."""
-    if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
-        raise ModelError(f"{name} is {value!r}; pass a whole number of samples, at least {least}")
-
-
-def weight(name: str, value: Any, size: int, *, definite: bool = False) -> np.ndarray:
-    """A symmetric positive (semi)definite weight, or a ModelError."""
-    W = as_matrix(name, value, (size, size))
-    if not np.allclose(W, W.T, rtol=1e-12, atol=0):
-        raise ModelError(f"{name} is not symmetric; pass ({name} + {name}')/2")
-    eigenvalues = np.linalg.eigvalsh(W)
-    if eigenvalues[0] < -1e-12 * abs(eigenvalues[-1]):
-        raise ModelError(f"{name} has the eigenvalue {eigenvalues[0]}; a weight has none below zero")
-    if definite and eigenvalues[0] <= 0:
-        raise ModelError(f"{name} has the eigenvalue {eigenvalues[0]}; every command must cost something")
-    return W
-
-
-def limits(name: str, value: Any, size: int, *, open_end: float | None = None) -> np.ndarray:
-    """One limit per channel, a scalar standing for all, or a ModelError; `open_end` means no limit."""
-    try:
-        limit = np.array(np.broadcast_to(np.asarray(value, dtype=float), (size,)))
-    except (TypeError, ValueError):
-        raise ModelError(f"{name} is {value!r}; pass a number or {size} of them") from None
-    sound = np.isfinite(limit) | (limit == open_end if open_end is not None else False)
-    if not sound.all():
-        raise ModelError(
-            f"{name} is {limit}; pass finite numbers" + (f" or {open_end}" if open_end is not None else "")
-        )
-    return limit

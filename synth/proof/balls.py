@@ -43,9 +43,8 @@ from typing import NamedTuple
 import numpy as np
 from flint import arb, arb_mat, ctx
 
-from synth.systems.connect import common_timebase
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace
+from synth.systems.statespace import StateSpace, common_timebase
 
 
 class Balls(NamedTuple):

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from synth.checks import as_limits
 from synth.errors import ModelError
 from synth.synthesis.design import Design
 
@@ -80,17 +81,6 @@ class AntiWindup:
             raise ModelError(f"W1.D = {D1.tolist()} is not invertible; conditioning needs a W1 with a direct term")
         L = np.vstack([np.zeros((parts.W2.n, W1.nu)), _observer_input(design), W1.B])
         return cls(K.A, K.B, K.C, K.D, np.linalg.solve(D1.T, L.T).T, low, high, K.dt)
-
-
-def as_limits(name: str, value: Any, m: int) -> np.ndarray:
-    """Limits of m commands, (m,), a number standing for all, or a ModelError that names them; infinite ones pass."""
-    try:
-        limits = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise ModelError(f"{name} is {value!r}; pass a number or {m} of them") from None
-    if np.isnan(limits).any() or limits.shape not in ((), (m,)):
-        raise ModelError(f"{name} is {value}; pass a number or {m} of them")
-    return np.broadcast_to(limits, (m,)).copy()
 
 
 def _observer_input(design: Design) -> np.ndarray:

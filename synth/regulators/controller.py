@@ -17,8 +17,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from synth.checks import as_array, as_matrix, as_number, as_period, as_weight
 from synth.errors import ModelError
-from synth.systems.statespace import StateSpace, as_matrix, as_timebase
+from synth.systems.statespace import StateSpace, as_system
 
 
 class Controller(Protocol):
@@ -63,13 +64,13 @@ class LinearController:
 
     @classmethod
     def of(cls, K: Any) -> LinearController:
-        """From a discrete StateSpace, `control.StateSpace` or (A, B, C, D, dt) whose input is e = r - y.
+        """From a discrete system whose input is e = r - y, in any form that `synth.system` takes.
 
         Raises
         ------
         ModelError : K is no state-space system or is continuous.
         """
-        K = StateSpace.of(K)
+        K = as_system("K", K)
         if not K.discrete:
             raise ModelError(f"K has dt = {K.dt}: a sampled loop steps discrete controllers; convert it with c2d first")
         return cls(K.A, K.B, K.C, K.D, K.dt)
@@ -87,7 +88,7 @@ def state_feedback(K: Any, dt: float) -> LinearController:
     ------
     ModelError : K is no finite matrix or `dt` is no sampling time.
     """
-    return LinearController.of(StateSpace.gain(as_matrix("K", K), as_timebase(dt)))
+    return LinearController.of(StateSpace.gain(as_matrix("K", K), as_period(dt)))
 
 
 def proportional_derivative(inertia: Any, wn: float, zeta: float, dt: float) -> LinearController:
@@ -111,11 +112,18 @@ def proportional_derivative(inertia: Any, wn: float, zeta: float, dt: float) -> 
     ------
     ModelError : a value is not positive, or the inertia is not symmetric positive definite.
     """
-    J = np.diag(np.asarray(inertia, dtype=float)) if np.ndim(inertia) == 1 else inertia
-    J = as_matrix("inertia", J, (3, 3))
-    if not np.allclose(J, J.T, rtol=1e-12, atol=0) or np.linalg.eigvalsh(J)[0] <= 0:
-        raise ModelError(f"inertia is {J.tolist()}; pass a symmetric positive definite matrix in kg m^2")
-    for name, value in (("wn", wn), ("zeta", zeta)):
-        if not (np.isfinite(value) and value > 0):
-            raise ModelError(f"{name} is {value}; pass a positive number")
+    J = as_inertia(inertia)
+    wn, zeta = (as_number(name, v, "a positive number", above=0) for name, v in (("wn", wn), ("zeta", zeta)))
     return state_feedback(np.hstack([2 * wn**2 * J, 2 * zeta * wn * J]), dt)
+
+
+def as_inertia(inertia: Any) -> np.ndarray:
+    """A symmetric positive definite (3, 3) matrix in kg m^2, from itself or from principal moments."""
+    J = (
+        as_weight("inertia", inertia, 3)
+        if np.ndim(as_array("inertia", inertia))
+        else as_matrix("inertia", inertia, (3, 3))
+    )
+    if not np.allclose(J, J.T, rtol=0, atol=1e-12 * np.abs(J).max()) or np.linalg.eigvalsh(J)[0] <= 0:
+        raise ModelError(f"inertia is {J.tolist()}; pass a symmetric positive definite matrix in kg m^2")
+    return J

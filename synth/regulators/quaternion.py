@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from synth.checks import as_number, as_period
 from synth.errors import ModelError
-from synth.regulators.controller import LinearController, state_feedback
+from synth.regulators.controller import LinearController, as_inertia, state_feedback
 from synth.regulators.regulator import lqr
-from synth.systems.statespace import as_matrix, as_timebase
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +52,7 @@ def quaternion_pd(inertia: Any, wn: float, zeta: float, dt: float) -> Quaternion
 
     Parameters
     ----------
-    inertia : (3, 3) kg m^2
+    inertia : (3, 3) matrix or (3,) principal moments, kg m^2
     wn : natural frequency in rad/s, positive
     zeta : damping ratio, positive
     dt : sampling time in s, positive
@@ -62,7 +62,7 @@ def quaternion_pd(inertia: Any, wn: float, zeta: float, dt: float) -> Quaternion
     ModelError : a value is not positive, or the inertia is not symmetric positive definite.
     """
     J = as_inertia(inertia)
-    _check_positive(wn=wn, zeta=zeta)
+    wn, zeta = (as_number(name, v, "a positive number", above=0) for name, v in (("wn", wn), ("zeta", zeta)))
     return QuaternionPid(Kp=2 * wn**2 * J, Ki=np.zeros((3, 3)), Kd=2 * zeta * wn * J, zone=0.0, dt=as_period(dt))
 
 
@@ -82,7 +82,8 @@ def quaternion_pid(
     ModelError : also for an integral time that is too short.
     """
     pd = quaternion_pd(inertia, wn, zeta, dt)
-    _check_positive(integral_time=integral_time, zone_deg=zone_deg)
+    integral_time = as_number("integral_time", integral_time, "a positive time in s", above=0)
+    zone_deg = as_number("zone_deg", zone_deg, "a positive angle in degrees", above=0)
     if integral_time <= 1 / (2 * zeta * wn):
         raise ModelError(
             f"integral_time is {integral_time} s; pass more than 1 / (2 zeta wn) = {1 / (2 * zeta * wn):.6g} s, "
@@ -98,7 +99,7 @@ def quaternion_lqr(inertia: Any, dt: float, *, Q: Any = None, R: Any = None) -> 
 
     Parameters
     ----------
-    inertia : (3, 3) kg m^2
+    inertia : (3, 3) matrix or (3,) principal moments, kg m^2
     dt : sampling time in s, positive
     Q : (6, 6) weight of [qv; w], symmetric positive semidefinite; identity when left out
     R : (3, 3) weight of u, symmetric positive definite; identity when left out
@@ -116,25 +117,3 @@ def quaternion_lqr(inertia: Any, dt: float, *, Q: Any = None, R: Any = None) -> 
     A, B = np.block([[O, np.eye(3) / 2], [O, O]]), np.vstack([O, np.linalg.inv(as_inertia(inertia))])
     K, _, _ = lqr(A, B, np.eye(6) if Q is None else Q, np.eye(3) if R is None else R)
     return state_feedback(np.hstack([np.zeros((3, 1)), K, O]), as_period(dt))
-
-
-def as_inertia(inertia: Any) -> np.ndarray:
-    """A symmetric positive definite (3, 3) matrix, or a ModelError."""
-    J = as_matrix("inertia", inertia, (3, 3))
-    if not np.allclose(J, J.T, rtol=0, atol=1e-12 * np.abs(J).max()) or np.linalg.eigvalsh(J)[0] <= 0:
-        raise ModelError(f"inertia is {J.tolist()}; pass a symmetric positive definite matrix in kg m^2")
-    return J
-
-
-def as_period(dt: Any) -> float:
-    """A sampling time, or a ModelError."""
-    value = as_timebase(dt)
-    if value == 0:
-        raise ModelError("dt is 0: this controller is stepped; pass the sampling time in seconds")
-    return value
-
-
-def _check_positive(**values: float) -> None:
-    for name, value in values.items():
-        if not (np.isfinite(value) and value > 0):
-            raise ModelError(f"{name} is {value}; pass a positive number")

@@ -6,27 +6,37 @@ and Optimal Control, chapter 13; Van Loan (1978), IEEE TAC 23, 395 (the integral
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 import scipy.linalg as sla
 
 from synth.analysis.precondition import check_assumptions
+from synth.checks import as_array, as_cost, as_matrix, as_number, as_weight
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace, as_matrix
+from synth.systems.statespace import StateSpace, as_system
 
-SYMMETRIC = 1e-12  # relative
 UNSEEN = 1e-10  # relative singular value below which a mode on the boundary is not seen
 
 
-def lqr(A: Any, B: Any, Q: Any, R: Any, N: Any = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+Gains = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+@overload
+def lqr(A: Any, B: Any, Q: Any, R: Any, N: Any = None) -> Gains: ...
+@overload
+def lqr(sys: Any, Q: Any, R: Any, N: Any = None, /) -> Gains: ...
+def lqr(*arguments: Any, **named: Any) -> Gains:
     """Regulator u = -K x that minimises the integral of x'Q x + u'R u + 2 x'N u along dx = A x + B u.
+
+    Called as lqr(A, B, Q, R[, N]) or lqr(sys, Q, R[, N]); for a discrete `sys` it is `dlqr`.
 
     Parameters
     ----------
-    A : (n, n); B : (n, m)
-    Q : (n, n) symmetric positive semidefinite
+    A : (n, n); B : (n, m), a list is a column; sys : a system in any form that `synth.system` takes
+    Q : (n, n) symmetric positive semidefinite; of all weights a number stands for that multiple of the identity, a
+        list for a diagonal
     R : (m, m) symmetric positive definite
     N : (n, m) cross weight, [[Q, N], [N', R]] positive semidefinite; zero when left out
 
@@ -41,17 +51,77 @@ def lqr(A: Any, B: Any, Q: Any, R: Any, N: Any = None) -> tuple[np.ndarray, np.n
     ModelError : shapes do not fit, a number is not finite, weights that are not symmetric or not positive.
     AssumptionError : (A, B) cannot be stabilised, or the weights do not see a mode on the imaginary axis.
     NumericalError : no stabilising solution was found although both hold (nearly).
+
+    Examples
+    --------
+    >>> from synth import lqr
+    >>> K, S, E = lqr([[0, 1], [0, 0]], [0, 1], [1, 0], 1)
+    >>> K.round(6).tolist()
+    [[1.0, 1.414214]]
     """
-    return _regulator(A, B, Q, R, N, discrete=False)
+    given = _arguments("lqr", ("Q", "R", "N"), arguments, named)
+    return _regulator(given.G, *given.weights, discrete=given.G.discrete)
 
 
-def dlqr(A: Any, B: Any, Q: Any, R: Any, N: Any = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+@overload
+def dlqr(A: Any, B: Any, Q: Any, R: Any, N: Any = None) -> Gains: ...
+@overload
+def dlqr(sys: Any, Q: Any, R: Any, N: Any = None, /) -> Gains: ...
+def dlqr(*arguments: Any, **named: Any) -> Gains:
     """Regulator u = -K x that minimises the sum of x'Q x + u'R u + 2 x'N u along x+ = A x + B u.
 
-    Parameters, returns and raises as `lqr`, with S = A'S A - (A'S B + N) (R + B'S B)^-1 (A'S B + N)' + Q and the unit
-    circle for the imaginary axis.
+    Called as dlqr(A, B, Q, R[, N]) or dlqr(sys, Q, R[, N]). Parameters, returns and raises as `lqr`, with
+    S = A'S A - (A'S B + N) (R + B'S B)^-1 (A'S B + N)' + Q and the unit circle for the imaginary axis.
     """
-    return _regulator(A, B, Q, R, N, discrete=True)
+    given = _arguments("dlqr", ("Q", "R", "N"), arguments, named)
+    if given.whole and not given.G.discrete:
+        raise ModelError("sys is continuous; pass a discrete system (c2d), or call lqr")
+    return _regulator(given.G, *given.weights, discrete=True)
+
+
+class Given(NamedTuple):
+    """The arguments of a regulator."""
+
+    G: StateSpace  # its A and B
+    whole: bool  # a system was given, whose timebase counts
+    weights: list[Any]
+
+
+def _arguments(function: str, names: tuple[str, ...], positional: tuple[Any, ...], named: dict[str, Any]) -> Given:
+    """(A, B, ...) or (sys, ...), by position or by name; the last of `names` may be left out."""
+    call = f"{function}(A, B, {', '.join(names)}) or {function}(sys, {', '.join(names)})"
+    values = list(positional)
+    whole = "sys" in named or bool(values and _is_system(values[0]))
+    order = (*(("sys",) if whole else ("A", "B")), *names)
+    if len(values) > len(order):
+        raise ModelError(f"{function} was given {len(values)} arguments; call {call}")
+    found = dict(zip(order, values, strict=False))
+    for name, value in named.items():
+        if name not in order or name in found:
+            raise ModelError(f"{function} has no argument {name!r} left; call {call}")
+        found[name] = value
+    if missing := [name for name in order[: len(order) - (names[-1] == "N")] if name not in found]:
+        raise ModelError(f"{function} was not given {', '.join(missing)}; call {call}")
+    weights = [found.get(name) for name in names]
+    if whole:
+        return Given(as_system("sys", found["sys"]), True, weights)
+    A = as_matrix("A", found["A"])
+    n = len(A)
+    A, B = as_matrix("A", A, (n, n)), as_array("B", found["B"], "pass a real matrix, states x inputs")
+    B = as_matrix("B", B if B.ndim > 1 or n == 1 else B.reshape(-1, 1), (n, None))
+    return Given(StateSpace(A, B, np.zeros((1, n)), np.zeros((1, B.shape[1]))), False, weights)
+
+
+def _is_system(value: Any) -> bool:
+    """Whether a first argument is a system rather than the matrix A."""
+    if isinstance(value, tuple):
+        return not all(np.isscalar(entry) for entry in value) and not _is_matrix(value)
+    return not (isinstance(value, np.ndarray | list) or np.isscalar(value) or value is None or hasattr(value, "shape"))
+
+
+def _is_matrix(value: tuple) -> bool:
+    """Whether a tuple is rows of numbers."""
+    return all(isinstance(row, tuple | list) and all(np.isscalar(x) for x in row) for row in value)
 
 
 class SampledCost(NamedTuple):
@@ -64,14 +134,19 @@ class SampledCost(NamedTuple):
     N: Any  # (n, m)
 
 
-def lqrd(A: Any, B: Any, Q: Any, R: Any, dt: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+@overload
+def lqrd(A: Any, B: Any, Q: Any, R: Any, dt: Any) -> Gains: ...
+@overload
+def lqrd(sys: Any, Q: Any, R: Any, dt: Any, /) -> Gains: ...
+def lqrd(*arguments: Any, **named: Any) -> Gains:
     """Regulator u = -K x, held for `dt` s, that minimises the integral of x'Q x + u'R u along dx = A x + B u.
 
+    Called as lqrd(A, B, Q, R, dt) or lqrd(sys, Q, R, dt).
     The continuous gain of `lqr` under a hold can be unstable: it suits periods well below its fastest time constant.
 
     Parameters
     ----------
-    A, B, Q, R : as in `lqr`
+    A, B, sys, Q, R : as in `lqr`
     dt : () s, control period, positive
 
     Returns
@@ -82,14 +157,15 @@ def lqrd(A: Any, B: Any, Q: Any, R: Any, dt: Any) -> tuple[np.ndarray, np.ndarra
     ------
     ModelError, AssumptionError, NumericalError : as `lqr`; also for a period that loses stabilisability.
     """
-    B = as_matrix("B", B)
-    n, m = B.shape
-    A, Q, R = as_matrix("A", A, (n, n)), as_weight("Q", Q, n, definite=False), as_weight("R", R, m, definite=True)
-    if not (np.ndim(dt) == 0 and np.isfinite(dt) and dt > 0):
-        raise ModelError(f"dt is {dt}; pass the control period in seconds")
+    given = _arguments("lqrd", ("Q", "R", "dt"), arguments, named)
+    if given.G.discrete:
+        raise ModelError(f"sys has dt = {given.G.dt}; lqrd samples a continuous system itself")
+    A, B, n, m = given.G.A, given.G.B, given.G.n, given.G.nu
+    Q, R = as_cost("Q", given.weights[0], n), as_cost("R", given.weights[1], m, definite=True)
+    dt = as_number("dt", given.weights[2], "the control period in seconds", above=0)
     doublings = max(int(np.ceil(np.log2(max(np.linalg.norm(A, 2) * dt, 1.0)))), 0)
     with np.errstate(over="ignore", invalid="ignore"):
-        cost = sampled_cost(A, B, Q, R, float(dt) / 2**doublings)
+        cost = sampled_cost(A, B, Q, R, dt / 2**doublings)
         for _ in range(doublings):
             cost = _doubled(cost)
     if not all(np.isfinite(M).all() for M in cost):
@@ -131,7 +207,7 @@ def lqg(G: Any, QXU: Any, QWV: Any) -> StateSpace:
 
     Parameters
     ----------
-    G : (p x m) StateSpace, control.StateSpace or (A, B, C, D, dt)
+    G : (p x m) plant, in any form that `synth.system` takes
     QXU : (n + m, n + m) weight of [x; u], symmetric positive semidefinite, its lower right block positive definite
     QWV : (n + p, n + p) covariance (discrete) or intensity (continuous) of [w; v], likewise
 
@@ -143,34 +219,23 @@ def lqg(G: Any, QXU: Any, QWV: Any) -> StateSpace:
     ------
     ModelError, AssumptionError, NumericalError : as `lqr`, for G or for its dual.
     """
-    G = StateSpace.of(G)
+    G = as_system("G", G)
     n, m, p = G.n, G.nu, G.ny
-    W, V = as_matrix("QXU", QXU, (n + m, n + m)), as_matrix("QWV", QWV, (n + p, n + p))
-    K = _regulator(G.A, G.B, W[:n, :n], W[n:, n:], W[:n, n:], discrete=G.discrete)[0]
-    L = _regulator(G.A.T, G.C.T, V[:n, :n], V[n:, n:], V[:n, n:], discrete=G.discrete)[0].T
+    W, V = as_weight("QXU", QXU, n + m), as_weight("QWV", QWV, n + p)
+    K = _regulator(G, W[:n, :n], W[n:, n:], W[:n, n:], discrete=G.discrete)[0]
+    dual = StateSpace(G.A.T, G.C.T, G.B.T, G.D.T, G.dt)
+    L = _regulator(dual, V[:n, :n], V[n:, n:], V[:n, n:], discrete=G.discrete)[0].T
     return StateSpace(G.A - G.B @ K - L @ (G.C - G.D @ K), L, -K, np.zeros((m, p)), G.dt)
 
 
-def as_weight(name: str, value: Any, size: int, *, definite: bool) -> np.ndarray:
-    """A symmetric positive (semi)definite matrix, or a ModelError that names it."""
-    M = as_matrix(name, value, (size, size))
-    scale = np.abs(M).max(initial=0.0)
-    if np.abs(M - M.T).max(initial=0.0) > SYMMETRIC * scale:
-        raise ModelError(f"{name} is not symmetric; pass ({name} + {name}')/2, which weighs the same")
-    least = np.linalg.eigvalsh(M).min(initial=np.inf)
-    if least < -SYMMETRIC * size * scale or (definite and least <= SYMMETRIC * scale):
-        kind = "definite" if definite else "semidefinite"
-        raise ModelError(f"{name} has the eigenvalue {least:.6g}; pass a symmetric positive {kind} matrix")
-    return M
-
-
-def _regulator(A, B, Q, R, N, *, discrete: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _regulator(G: StateSpace, Q: Any, R: Any, N: Any, *, discrete: bool) -> Gains:
     """`lqr` or `dlqr`."""
-    B = as_matrix("B", B)
-    n, m = B.shape
-    A, N = as_matrix("A", A, (n, n)), as_matrix("N", np.zeros((n, m)) if N is None else N, (n, m))
-    Q, R = as_weight("Q", Q, n, definite=False), as_weight("R", R, m, definite=True)
-    as_weight("[[Q, N], [N', R]]", np.block([[Q, N], [N.T, R]]), n + m, definite=False)
+    A, B, n, m = G.A, G.B, G.n, G.nu
+    N = as_matrix("N", np.zeros((n, m)) if N is None else N, (n, m))
+    Q, R = as_cost("Q", Q, n), as_cost("R", R, m, definite=True)
+    as_cost("[[Q, N], [N', R]]", np.block([[Q, N], [N.T, R]]), n + m)
+    if n == 0:
+        raise ModelError("A has no states; there is nothing to regulate")
     _check_stabilisable(A, B, discrete)
     F = np.linalg.solve(R, N.T)
     _check_seen(A - B @ F, Q - N @ F, discrete)

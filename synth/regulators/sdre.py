@@ -22,12 +22,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from synth.checks import as_matrix
 from synth.equations.riccati import closed_loop_rate, continued, discrete_stabilising, stabilising, stabilising_pair
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.regulators.quaternion import as_period
 from synth.regulators.regulator import lqr, lqrd, sampled_cost
 from synth.regulators.sdc import Factorisation
-from synth.systems.statespace import as_matrix
 
 TINY = 1e-300  # keeps 0 / 0 from being one
 SQUARINGS = 20  # of a matrix for its spectral radius, which is then right to 4e-7

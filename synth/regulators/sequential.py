@@ -18,11 +18,12 @@ from typing import Any
 
 import numpy as np
 
+from synth.checks import as_limits, as_matrix
 from synth.errors import ExportError, ModelError
-from synth.regulators.antiwindup import AntiWindup, as_limits
+from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.controller import LinearController
 from synth.synthesis.design import Design
-from synth.systems.statespace import StateSpace, as_matrix
+from synth.systems.statespace import StateSpace, as_system
 
 DTYPES = {"double": np.float64, "float": np.float32}  # C's name of the type -> NumPy's
 INTEGRATES = 1e-9  # a pole no further than this outside the unit circle is one of an integrator
@@ -149,7 +150,7 @@ def controller_of(source: Any) -> StateSpace:
         return source.controller
     if isinstance(source, LinearController | AntiWindup):
         return StateSpace(source.A, source.B, source.C, source.D, source.dt)
-    return StateSpace.of(source)
+    return as_system("the controller", source)
 
 
 def _sum(rows: int, *terms: tuple[np.ndarray, np.ndarray]) -> np.ndarray:

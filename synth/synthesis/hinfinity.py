@@ -18,10 +18,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Protocol
 
-import numpy as np
-
 from synth.analysis.norms import Verification, verify
 from synth.analysis.precondition import check_assumptions, precondition
+from synth.checks import as_choice, as_number
 from synth.errors import InfeasibleError, ModelError, NumericalError, SynthError
 from synth.files import provenance
 from synth.synthesis.design import Design, Info
@@ -71,14 +70,15 @@ def hinfsyn(
     *,
     method: str = "auto",
     gamma: float | None = None,
+    ncont: int | None = None,
 ) -> Design:
     """Controller K that minimises the H-infinity norm of P closed by u = K y (positive feedback).
 
     Parameters
     ----------
-    P : GeneralizedPlant, or StateSpace, control.StateSpace or (A, B, C, D, dt) whose last inputs are u and last
-        outputs y; discrete or continuous; D11 and D22 may be nonzero
-    nmeas, ncon : number of outputs y and inputs u; needed unless P is a GeneralizedPlant
+    P : GeneralizedPlant, or a system in any form that `system` takes, whose last inputs are u and last outputs y;
+        discrete or continuous; D11 and D22 may be nonzero
+    nmeas, ncon : number of outputs y and inputs u; needed unless P is a GeneralizedPlant; `ncont` is MATLAB's name
     method : "auto", "lmi", "riccati", "standard" or "extended"
     gamma : a level to reach instead of the optimum; the LMI methods then return the analytic centre of what does
 
@@ -101,11 +101,12 @@ def hinfsyn(
     and Nonlinear Control 4, 421; Pecorilla and Stesina (2024), doi 10.1002/rnc.7119, equations (16) to (22).
     """
     started = time.perf_counter()
-    plant = as_plant(P, nmeas, ncon)
-    if method not in METHODS:
-        raise ModelError(f"method is {method!r}; pass one of {', '.join(METHODS)}")
-    if gamma is not None and not (np.isfinite(gamma) and gamma > 0):
-        raise ModelError(f"gamma is {gamma!r}; pass a positive level, or None for the optimum")
+    if ncont is not None and ncon not in (None, ncont):
+        raise ModelError(f"ncon = {ncon} and ncont = {ncont} are two names of one number; pass one of them")
+    plant = as_plant(P, nmeas, ncont if ncon is None else ncon)
+    as_choice("method", method, METHODS)
+    if gamma is not None:
+        gamma = as_number("gamma", gamma, "a positive level, or None for the optimum", above=0)
     check_assumptions(plant)
     discrete, to_plant = discretised(plant)
     conditioned = precondition(discrete)

@@ -28,12 +28,13 @@ import numpy as np
 from synth.analysis.coprime import Solutions, balanced, closed_loop_moduli, discretised, gang_of_four, solutions
 from synth.analysis.norms import balance, verify
 from synth.analysis.precondition import check_assumptions
+from synth.checks import as_choice, as_number
 from synth.equations.doubling import FINAL_RESIDUAL
 from synth.errors import InfeasibleError, ModelError, NumericalError, VerificationError
 from synth.files import provenance
 from synth.synthesis.design import Design, Info, Shaping
-from synth.systems.connect import common_timebase, series
-from synth.systems.statespace import StateSpace, as_matrix
+from synth.systems.connect import series
+from synth.systems.statespace import StateSpace, as_system, common_timebase, repeated
 from synth.threads import one_thread
 
 METHODS = ("lmi", "riccati")
@@ -66,8 +67,9 @@ def ncfsyn(
 
     Parameters
     ----------
-    G : (p x m) StateSpace, control.StateSpace or (A, B, C, D, dt); continuous or discrete, D may be nonzero
-    W1 : weight in front of the plant, m outputs: a system like G, or a matrix; identity when left out
+    G : (p x m) plant, in any form that `system` takes; continuous or discrete, D may be nonzero
+    W1 : weight in front of the plant, m outputs: a system in any of these forms, one of a single signal for every
+        channel; identity when left out
     W2 : weight behind the plant, p inputs; likewise
     gamma_factor : the level asked for, over the optimal one; above 1
     gamma : the level itself, instead of `gamma_factor`
@@ -94,13 +96,11 @@ def ncfsyn(
     McFarlane and Glover (1992), IEEE TAC 37, 759; Skogestad and Postlethwaite (2005), section 9.4.
     """
     started = time.perf_counter()
-    if method not in METHODS:
-        raise ModelError(f"method is {method!r}; pass one of {', '.join(METHODS)}")
-    if not (np.isfinite(gamma_factor) and gamma_factor > 1):
-        raise ModelError(f"gamma_factor is {gamma_factor!r}; pass a number above 1, 1.1 for example")
-    if gamma is not None and not (np.isfinite(gamma) and gamma > 0):
-        raise ModelError(f"gamma is {gamma!r}; pass a positive level, or None for gamma_factor times the optimum")
-    W1, Gs, W2 = shaped(StateSpace.of(G), W1, W2)
+    as_choice("method", method, METHODS)
+    gamma_factor = as_number("gamma_factor", gamma_factor, "a number above 1, 1.1 for example", above=1)
+    if gamma is not None:
+        gamma = as_number("gamma", gamma, "a positive level, or None for gamma_factor times the optimum", above=0)
+    W1, Gs, W2 = shaped(as_system("G", G), W1, W2)
     if Gs.n == 0:
         raise ModelError("the shaped plant has no states; add the dynamics to be controlled")
     plant = gang_of_four(Gs)
@@ -146,20 +146,13 @@ def shaped(G: StateSpace, W1: Any, W2: Any) -> tuple[StateSpace, StateSpace, Sta
     """W1, the shaped plant W2 G W1 with balanced states, and W2."""
     weights = []
     for name, W, size, side in (("W1", W1, G.nu, "outputs"), ("W2", W2, G.ny, "inputs")):
-        W = _weight(name, np.eye(size) if W is None else W, G.dt)
+        W = repeated(as_system(name, np.eye(size) if W is None else W, G.dt), size)
         if (W.ny if side == "outputs" else W.nu) != size:
             raise ModelError(f"{name} is {W.ny} x {W.nu}; it needs {size} {side} to fit the {G.ny} x {G.nu} plant")
-        common_timebase(G, W)
+        common_timebase(G, W, ("the plant", name))
         weights.append(W)
     W1, W2 = weights
     return W1, balance(series(series(W1, G), W2)), W2
-
-
-def _weight(name: str, W: Any, dt: float) -> StateSpace:
-    """A system, or a matrix as a static one."""
-    if not isinstance(W, int | float | np.ndarray | list):
-        return StateSpace.of(W)
-    return StateSpace.gain(as_matrix(name, W), dt)
 
 
 def optimal(G: StateSpace, riccati: Solutions, method: str) -> Optimum:

@@ -22,12 +22,13 @@ from typing import Any
 import numpy as np
 
 from synth.analysis.norms import balance, is_stable, verify
+from synth.checks import as_number
 from synth.errors import AssumptionError, ModelError, VerificationError
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import hinfsyn
-from synth.systems.connect import common_timebase, feedback
+from synth.systems.connect import feedback
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace, as_matrix
+from synth.systems.statespace import StateSpace, as_system, common_timebase, repeated
 
 NEAR = 1e-3  # relative to |A|, of a pole that may be on the boundary: rounding moves a triple one by 1e-5 |A|
 BOUNDARY = 1e-12  # relative to |A|, of the change of A that puts it there
@@ -39,16 +40,16 @@ def augw(G: Any, W1: Any = None, W2: Any = None, W3: Any = None) -> GeneralizedP
 
     Parameters
     ----------
-    G : (q x m) plant: StateSpace, control.StateSpace or (A, B, C, D, dt)
+    G : (q x m) plant, in any form that `system` takes
     W1 : weight of the error e, (any x q); W2 : of the control u, (any x m); W3 : of the output G u, (any x q). Each a
-        number or a system with one input and one output, which then weighs every channel, a matrix, a system, or None
-        for no such rows in z; at least one is needed
+        system in any of these forms; a number or a system with one input and one output weighs every channel, None
+        stands for no such rows in z; at least one is needed
 
     Raises
     ------
     ModelError : shapes or timebases do not fit, no weight was given, or a weight is not stable.
     """
-    G = StateSpace.of(G)
+    G = as_system("G", G)
     q, m = G.ny, G.nu
     O = np.zeros
     wanted = (("W1", W1, q), ("W2", W2, m), ("W3", W3, q))
@@ -123,9 +124,8 @@ def mixsyn(
     VerificationError : the loop of G and the controller moved back is not what it should be.
     InfeasibleError, NumericalError : as `hinfsyn`.
     """
-    G = StateSpace.of(G)
-    if not (np.isfinite(shift) and shift >= 0):
-        raise ModelError(f"shift is {shift!r}; pass a rate in rad/s of at least 0, small beside the bandwidth")
+    G = as_system("G", G)
+    shift = as_number("shift", shift, "a rate in rad/s of at least 0, small beside the bandwidth", least=0)
     plant, moved = augw(G, W1, W2, W3), shifted(G, shift)
     check_boundary(moved, shift)
     design = hinfsyn(augw(moved, W1, W2, W3), method=method, gamma=gamma)
@@ -193,16 +193,12 @@ def _weight(name: str, W: Any, size: int, G: StateSpace) -> StateSpace:
     """A weight of `size` signals as a stable system with the timebase of G; without outputs for None."""
     if W is None:
         return StateSpace.gain(np.zeros((0, size)), G.dt)
-    if isinstance(W, np.ndarray) or np.isscalar(W):
-        W = StateSpace.gain(as_matrix(name, W), G.dt)
-    W = StateSpace.of(W)
+    W = as_system(name, W, G.dt)
     try:
         common_timebase(G, W)
     except ModelError as error:
         raise ModelError(f"{name} does not fit the plant: {error}") from None
-    if W.nu == W.ny == 1 and size > 1:
-        I = np.eye(size)
-        W = StateSpace(np.kron(I, W.A), np.kron(I, W.B), np.kron(I, W.C), np.kron(I, W.D), W.dt)
+    W = repeated(W, size)
     if W.nu != size:
         raise ModelError(f"{name} has {W.nu} inputs for {size} signals; pass one with {size}, or one for every channel")
     if not is_stable(W):

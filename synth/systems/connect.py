@@ -1,30 +1,32 @@
 """Systems put together: in series, in feedback, and the linear fractional transformation that closes a plant.
 
-`lft` is the positive one of H-infinity theory (u = K y), `feedback` the negative one.
+`lft` is the positive one of H-infinity theory (u = K y), `feedback` the negative one unless `sign` says otherwise.
+All take any description of a system.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from synth.checks import as_whole
 from synth.errors import ModelError
-from synth.systems.statespace import StateSpace, is_singular
+from synth.systems.realization import is_singular
+from synth.systems.statespace import StateSpace, as_systems
 
 
-def common_timebase(G: StateSpace, K: StateSpace) -> float:
-    """The timebase two systems share, or a ModelError."""
-    if not np.isclose(G.dt, K.dt, rtol=1e-12, atol=0):
-        raise ModelError(f"the systems have timebases {G.dt} and {K.dt} s; convert one with c2d first")
-    return G.dt
+def series(G: Any, H: Any) -> StateSpace:
+    """H after G: y = H G u.
 
-
-def series(G: StateSpace, H: StateSpace) -> StateSpace:
-    """H after G: y = H G u."""
-    dt = common_timebase(G, H)
+    Raises
+    ------
+    ModelError : sizes or timebases do not fit.
+    """
+    G, H = as_systems(G=G, H=H)
     if G.ny != H.nu:
         raise ModelError(f"the first system has {G.ny} outputs, the second {H.nu} inputs; they must agree")
-    A = np.block([[G.A, np.zeros((G.n, H.n))], [H.B @ G.C, H.A]])
-    return StateSpace(A, np.vstack([G.B, H.B @ G.D]), np.hstack([H.D @ G.C, H.C]), H.D @ G.D, dt)
+    return H * G
 
 
 def delayed(G: StateSpace) -> StateSpace:
@@ -33,26 +35,31 @@ def delayed(G: StateSpace) -> StateSpace:
     return series(G, StateSpace(np.zeros((p, p)), np.eye(p), np.eye(p), np.zeros((p, p)), G.dt))
 
 
-def feedback(G: StateSpace, K: StateSpace) -> StateSpace:
-    """Negative feedback y = G (u - K y)."""
-    dt = common_timebase(G, K)
-    m, p = G.nu, G.ny
-    P = StateSpace(G.A, np.hstack([G.B, G.B]), np.vstack([G.C, G.C]), np.vstack([np.hstack([G.D, G.D])] * 2), dt)
-    if (K.nu, K.ny) != (p, m):
-        raise ModelError(f"the controller is {K.ny} x {K.nu} where {m} x {p} is needed")
-    return lft(P, -K, p, m)
+def feedback(G: Any, K: Any = 1, sign: int = -1) -> StateSpace:
+    """The loop y = G (u + sign K y), negative by default; K = 1 stands for the identity.
+
+    Raises
+    ------
+    ModelError : sizes or timebases do not fit, the loop is not well posed, `sign` is neither -1 nor 1.
+    """
+    if np.isscalar(K) and not isinstance(K, str | bytes | bool):
+        return as_systems(G=G)[0].feedback(K, sign)
+    G, K = as_systems(G=G, K=K)
+    return G.feedback(K, sign)
 
 
-def lft(P: StateSpace, K: StateSpace, nmeas: int, ncon: int) -> StateSpace:
+def lft(P: Any, K: Any, nmeas: int | None = None, ncon: int | None = None) -> StateSpace:
     """Lower linear fractional transformation: P closed by u = K y (positive feedback).
 
-    u and y are the last `ncon` inputs and `nmeas` outputs of P.
+    u and y are the last `ncon` inputs and `nmeas` outputs of P; as many as K has when left out.
 
     Raises
     ------
     ModelError : dimensions or timebases disagree, or the loop is not well posed (I - D22 Dk is singular).
     """
-    dt = common_timebase(P, K)
+    P, K = as_systems(P=P, K=K)
+    nmeas = as_whole("nmeas", K.nu if nmeas is None else nmeas, "the number of measurements", least=1)
+    ncon = as_whole("ncon", K.ny if ncon is None else ncon, "the number of controls", least=1)
     if (K.ny, K.nu) != (ncon, nmeas):
         raise ModelError(f"the controller is {K.ny} x {K.nu} where {ncon} x {nmeas} is needed (ncon x nmeas)")
     if not (0 < nmeas < P.ny + 1 and 0 < ncon < P.nu + 1):
@@ -72,4 +79,5 @@ def lft(P: StateSpace, K: StateSpace, nmeas: int, ncon: int) -> StateSpace:
     bottom = np.hstack([np.zeros((K.n, P.n)), K.A, np.zeros((K.n, mw))]) + K.B @ Y
     out = np.hstack([C1, np.zeros((pz, K.n)), D11]) + D12 @ U
     AB = np.vstack([top, bottom])
-    return StateSpace(AB[:, x], AB[:, w], out[:, x], out[:, w], dt)
+    units = {name: unit for name, unit in P.units.items() if name in (*P.u[:mw], *P.y[:pz])}
+    return StateSpace(AB[:, x], AB[:, w], out[:, x], out[:, w], P.dt, P.u[:mw], P.y[:pz], units)

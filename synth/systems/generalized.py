@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from synth.checks import as_matrix, as_names, as_texts, as_timebase, as_weight, as_whole, shown
 from synth.errors import ModelError
 from synth.systems.connect import lft
-from synth.systems.statespace import StateSpace, as_matrix, as_timebase
+from synth.systems.statespace import StateSpace, as_system
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,10 +65,11 @@ class GeneralizedPlant:
             object.__setattr__(self, name, M)
         object.__setattr__(self, "dt", as_timebase(self.dt))
         for channel, size in {"w": nw, "u": nu, "z": nz, "y": ny}.items():
-            names = tuple(getattr(self, channel)) or tuple(f"{channel}{i}" for i in range(size))
-            if len(names) != size or len(set(names)) != size:
-                raise ModelError(f"channel {channel} has names {names}; give {size} different ones")
-            object.__setattr__(self, channel, names)
+            object.__setattr__(
+                self, channel, as_names(channel, getattr(self, channel), size, f"channel {channel} has names")
+            )
+        if not isinstance(self.units, Mapping):
+            raise ModelError(f"units is {shown(self.units)}; pass names and units, {{'torque': 'N m'}}")
         unknown = set(self.units) - {*self.w, *self.u, *self.z, *self.y}
         if unknown:
             raise ModelError(f"units are given for {sorted(unknown)}, which are no channels of the plant")
@@ -82,21 +84,32 @@ class GeneralizedPlant:
     def system(self) -> StateSpace:
         """The plant as one system from (w, u) to (z, y)."""
         D = np.block([[self.D11, self.D12], [self.D21, self.D22]])
-        return StateSpace(self.A, np.hstack([self.B1, self.B2]), np.vstack([self.C1, self.C2]), D, self.dt)
+        B, C = np.hstack([self.B1, self.B2]), np.vstack([self.C1, self.C2])
+        u, y = (*self.w, *self.u), (*self.z, *self.y)
+        if len(set(u)) < len(u) or len(set(y)) < len(y):  # a name may serve a w and a u
+            return StateSpace(self.A, B, C, D, self.dt)
+        return StateSpace(self.A, B, C, D, self.dt, u, y, self.units)
 
     @classmethod
     def partition(cls, system: Any, nmeas: int, ncon: int) -> GeneralizedPlant:
         """Split a system whose last `nmeas` outputs are y and last `ncon` inputs are u."""
-        G = StateSpace.of(system)
+        G = as_system("P", system)
+        if G.ny < 2 or G.nu < 2:
+            raise ModelError(
+                f"P is {G.ny} x {G.nu}; a generalised plant has at least one w and one u among its inputs, one z and "
+                "one y among its outputs. For a plain plant from u to y see mixsyn, ncfsyn, augw and "
+                "GeneralizedPlant.tracking"
+            )
         for name, value, total in (("nmeas", nmeas, G.ny), ("ncon", ncon, G.nu)):
-            if not isinstance(value, int | np.integer) or not 0 < value < total:
-                raise ModelError(f"{name} is {value!r}; pass an integer from 1 to {total - 1} (the system has {total})")
+            as_whole(name, value, f"an integer from 1 to {total - 1} (P has {total})", least=1, most=total - 1)
         m, p = G.nu - int(ncon), G.ny - int(nmeas)
         C, D = (G.C[:p], G.C[p:]), (G.D[:p], G.D[p:])
+        u, y = (() if names == as_names(key, (), len(names)) else names for key, names in (("u", G.u), ("y", G.y)))
         return cls(
             A=G.A, B1=G.B[:, :m], B2=G.B[:, m:],
             C1=C[0], D11=D[0][:, :m], D12=D[0][:, m:],
             C2=C[1], D21=D[1][:, :m], D22=D[1][:, m:], dt=G.dt,
+            w=u[:m], u=u[m:], z=y[:p], y=y[p:], units=G.units if u and y else {},
         )  # fmt: skip
 
     @classmethod
@@ -105,22 +118,22 @@ class GeneralizedPlant:
 
         Parameters
         ----------
-        P0 : nominal plant with m inputs and q outputs: StateSpace, control.StateSpace or (A, B, C, D, dt)
+        P0 : nominal plant with m inputs and q outputs, in any form that `system` takes
         Wproc : (m, m) process noise; Wdist : (q, q) sensor noise; Werr : (q, q) tracking error
-        Wact : (m, m) control effort; Wr : (q, q) reference
-        u, y : names of the m inputs and q outputs of P0, optional
+        Wact : (m, m) control effort; Wr : (q, q) reference; a number stands for that multiple of the identity, a list
+            for a diagonal
+        u, y : names of the m inputs and q outputs, those of P0 when left out
         units : unit of each name in u and y, optional; the derived channels inherit them
 
         Reference: Pecorilla and Stesina (2024), equation (27).
         """
-        G = StateSpace.of(P0)
+        G = as_system("P0", P0)
         m, q = G.nu, G.ny
-        Wp, Wa = as_matrix("Wproc", Wproc, (m, m)), as_matrix("Wact", Wact, (m, m))
-        Wd, We, Wr = as_matrix("Wdist", Wdist, (q, q)), as_matrix("Werr", Werr, (q, q)), as_matrix("Wr", Wr, (q, q))
+        Wp, Wa = as_weight("Wproc", Wproc, m), as_weight("Wact", Wact, m)
+        Wd, We, Wr = as_weight("Wdist", Wdist, q), as_weight("Werr", Werr, q), as_weight("Wr", Wr, q)
         O = np.zeros
-        units = dict(units or {})
-        u = tuple(u) or tuple(f"u{i}" for i in range(m))
-        y = tuple(y) or tuple(f"y{i}" for i in range(q))
+        u, y = as_texts("u", u) or G.u, as_texts("y", y) or G.y
+        units = G.units if units is None else units
         return cls(
             A=G.A,
             B1=np.hstack([O((G.n, q)), G.B @ Wp, O((G.n, q))]),
@@ -149,16 +162,18 @@ class GeneralizedPlant:
 
         Parameters
         ----------
-        G : (q x m) plant: StateSpace, control.StateSpace or (A, B, C, D, dt)
+        G : (q x m) plant, in any form that `system` takes
         Wdist : (m, m) input disturbance; Wnoise : (q, q) output noise
-        Wout : (q, q) output; Wact : (m, m) control effort
+        Wout : (q, q) output; Wact : (m, m) control effort; numbers and lists as in `tracking`
 
         Reference: Zhou, Doyle and Glover (1996), Robust and Optimal Control, section 16.1.
         """
-        G = StateSpace.of(G)
+        G = as_system("G", G)
         m, q = G.nu, G.ny
-        Wd, Wn = as_matrix("Wdist", Wdist, (m, m)), as_matrix("Wnoise", Wnoise, (q, q))
-        Wy, Wu = as_matrix("Wout", Wout, (q, q)), as_matrix("Wact", Wact, (m, m))
+        Wd, Wn, Wy, Wu = (
+            as_weight(name, W, size)
+            for name, W, size in (("Wdist", Wdist, m), ("Wnoise", Wnoise, q), ("Wout", Wout, q), ("Wact", Wact, m))
+        )
         O = np.zeros
         return cls(
             A=G.A,
@@ -176,6 +191,6 @@ class GeneralizedPlant:
             y=tuple(f"error {i}" for i in range(q)),
         )
 
-    def close(self, K: StateSpace) -> StateSpace:
-        """Closed loop from w to z under u = K y (positive feedback)."""
+    def close(self, K: Any) -> StateSpace:
+        """Closed loop from w to z under u = K y (positive feedback), K in any form that `system` takes."""
         return lft(self.system, K, self.C2.shape[0], self.B2.shape[1])

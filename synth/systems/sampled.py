@@ -3,34 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
 
+from synth.checks import as_choice, as_period
 from synth.errors import ModelError
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace, as_timebase, is_singular
+from synth.systems.realization import is_singular
+from synth.systems.statespace import StateSpace, as_system
 
 
-def c2d(G: StateSpace, dt: float, method: str = "zoh") -> StateSpace:
+def c2d(G: Any, dt: float, method: str = "zoh") -> StateSpace:
     """Continuous to discrete: `"zoh"` exact hold equivalent, `"tustin"` bilinear.
 
     Parameters
     ----------
-    dt : sampling time in seconds, positive.
+    G : continuous system, in any form that `system` takes
+    dt : sampling time in seconds, positive
+    method : "zoh" or "tustin"
+
+    Raises
+    ------
+    ModelError : G is no system or is discrete already, dt is not positive.
     """
+    G = as_system("G", G)
     if G.discrete:
         raise ModelError(f"the system is already discrete (dt = {G.dt} s); c2d takes a continuous one")
-    if as_timebase(dt) == 0:
-        raise ModelError("dt is 0; pass the sampling time in seconds")
-    if method not in ("zoh", "tustin"):
-        raise ModelError(f"method is {method!r}; pass 'zoh' or 'tustin'")
+    dt = as_period(dt)
+    as_choice("method", method, ("zoh", "tustin"))
     if G.n == 0:
-        return StateSpace(G.A, G.B, G.C, G.D, dt)
+        return replace(G, dt=dt)
     if method == "zoh":
         M = sla.expm(dt * np.block([[G.A, G.B], [np.zeros((G.nu, G.n + G.nu))]]))
-        return StateSpace(M[: G.n, : G.n], M[: G.n, G.n :], G.C, G.D, dt)
-    return cayley(G, 2 / dt, dt)
+        return replace(G, A=M[: G.n, : G.n], B=M[: G.n, G.n :], dt=dt)
+    return replace(cayley(G, 2 / dt, dt), u=G.u, y=G.y, units=G.units)
 
 
 def cayley(G: StateSpace, rate: float, dt: float = 1.0) -> StateSpace:

@@ -1,0 +1,214 @@
+"""What an argument must be before anything is computed with it: numbers, matrices, choices, timebases.
+
+Every function here returns the value in the one form that is used inside, or raises a `ModelError` that names the
+argument, what was got, and what to pass instead. Nothing is clipped, rounded or taken for something else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from synth.errors import ModelError
+
+SYMMETRIC = 1e-12  # relative
+POSITIVE = ("a symmetric positive semidefinite matrix", "a symmetric positive definite matrix")
+SHOWN = 60  # characters of a wrong value in a message
+KINDS = {"c": "complex", "M": "a date", "m": "a time span", "S": "text", "U": "text", "V": "a record"}
+
+
+def shown(value: Any) -> str:
+    """A wrong value as a message shows it: short, on one line."""
+    try:
+        text = " ".join(repr(value).split())
+    except Exception:  # an object that cannot even be shown is still named by its type
+        text = ""
+    if not text or text.startswith("<") or len(text) > SHOWN:
+        text = f"{text[:SHOWN]}... " if text and not text.startswith("<") else ""
+        return f"{text}({type(value).__name__})" if text else f"an object of type {type(value).__name__}"
+    return text
+
+
+def as_array(
+    name: str, value: Any, wanted: str = "pass real numbers", kind: str = "an array of real numbers"
+) -> np.ndarray:
+    """Finite float64 numbers in an array of any shape, a copy."""
+    if type(value) is np.ndarray and value.dtype == np.float64 and np.isfinite(value).all():
+        return value.copy()
+    if hasattr(value, "toarray"):
+        raise ModelError(f"{name} is a sparse matrix; pass {name}.toarray(), small systems are kept dense")
+    try:
+        raw: Any = np.asarray(value)
+        if raw.dtype.kind in KINDS and not (raw.dtype.kind == "c" and not np.any(raw.imag)):
+            raise ModelError(f"{name} is not {kind} (it is {KINDS[raw.dtype.kind]}, {shown(value)}); {wanted}")
+        if raw.dtype.kind == "O" and any(isinstance(x, str | bytes | None | complex) for x in raw.flat):
+            raise TypeError(f"an entry is {shown(next(x for x in raw.flat if not isinstance(x, int | float)))}")
+        M = np.array(raw.real if raw.dtype.kind == "c" else raw, dtype=float)
+    except ModelError:
+        raise
+    except Exception as error:  # whatever a foreign object raises when it is asked for numbers
+        raise ModelError(f"{name} is not {kind} ({shown(value)}: {error}); {wanted}") from None
+    if np.ma.is_masked(value):
+        raise ModelError(f"{name} has masked entries, which have no value; {wanted}")
+    if not np.isfinite(M).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(M))[0])
+        at = f"[{', '.join(map(str, where))}]" if where else ""
+        raise ModelError(f"{name}{at} is {M[where]}; every entry must be finite")
+    return M
+
+
+def as_matrix(name: str, value: Any, shape: tuple[int | None, int | None] = (None, None)) -> np.ndarray:
+    """A finite float64 matrix; numbers and vectors become the row or column that fits `shape`, None fits any size."""
+    M = as_array(name, value, "pass numbers in rows and columns", "a real matrix")
+    if M.ndim > 2:
+        raise ModelError(f"{name} has {M.ndim} dimensions; pass a matrix")
+    if M.ndim < 2:
+        column = M.ndim == 1 and shape[1] == 1 and shape[0] in (None, M.size)
+        M = M.reshape(-1, 1) if column else M.reshape(1, -1)
+    if any(want is not None and have != want for have, want in zip(M.shape, shape, strict=True)):
+        raise ModelError(f"{name} is {M.shape[0]} x {M.shape[1]} where {sizes(shape)} is needed")
+    return M
+
+
+def as_weight(name: str, value: Any, size: int) -> np.ndarray:
+    """A (size, size) weight: a number stands for that multiple of the identity, a list for a diagonal."""
+    M = as_array(name, value, f"pass a number, {size} numbers or a {size} x {size} matrix")
+    if M.ndim == 0:
+        return float(M) * np.eye(size)
+    if M.ndim == 1:
+        if M.size != size:
+            raise ModelError(f"{name} has {M.size} entries; pass a number, {size} of them or a {size} x {size} matrix")
+        return np.diag(M)
+    return as_matrix(name, M, (size, size))
+
+
+def as_vector(name: str, value: Any, size: int) -> np.ndarray:
+    """A vector (size,); a row or a column will do, a number stands for one entry only."""
+    M = as_array(name, value, f"pass {size} numbers")
+    if M.size != size or M.ndim > 2 or (M.ndim == 2 and 1 not in M.shape):
+        raise ModelError(f"{name} has shape {M.shape}; pass {size} numbers")
+    return M.ravel()
+
+
+def sizes(shape: Iterable[int | None]) -> str:
+    """A shape in words, `any` where any size will do."""
+    return " x ".join("any" if s is None else str(s) for s in shape)
+
+
+def as_number(name: str, value: Any, wanted: str, *, above: float | None = None, least: float | None = None) -> float:
+    """A finite number, within its bounds; `wanted` says what to pass."""
+    if isinstance(value, bool | np.bool_ | str | bytes) or value is None or np.ndim(_quiet(value)) != 0:
+        raise ModelError(f"{name} is {shown(value)}; pass {wanted}")
+    try:
+        number = float(value)
+    except Exception:  # whatever a foreign object raises
+        raise ModelError(f"{name} is {shown(value)}; pass {wanted}") from None
+    if not np.isfinite(number) or (above is not None and number <= above) or (least is not None and number < least):
+        raise ModelError(f"{name} is {shown(value)}; pass {wanted}")
+    return number
+
+
+def _quiet(value: Any) -> Any:
+    """The value if NumPy can say how many dimensions it has, else a list, which no number is."""
+    try:
+        np.ndim(value)
+    except Exception:  # ragged lists and foreign objects
+        return []
+    return value
+
+
+def as_whole(name: str, value: Any, wanted: str, *, least: int, most: int | None = None) -> int:
+    """A whole number within its bounds."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise ModelError(f"{name} is {shown(value)}; pass {wanted}")
+    if value < least or (most is not None and value > most):
+        raise ModelError(f"{name} is {value}; pass {wanted}")
+    return int(value)
+
+
+def as_choice(name: str, value: Any, choices: Iterable[str]) -> str:
+    """One of a few words."""
+    choices = tuple(choices)
+    if not isinstance(value, str) or value not in choices:
+        raise ModelError(f"{name} is {shown(value)}; pass one of {', '.join(choices)}")
+    return value
+
+
+def as_flag(name: str, value: Any) -> bool:
+    """True or False."""
+    if not isinstance(value, bool | np.bool_):
+        raise ModelError(f"{name} is {shown(value)}; pass True or False")
+    return bool(value)
+
+
+def as_sign(sign: Any) -> int:
+    """-1 or +1 of a feedback."""
+    if isinstance(sign, bool) or np.ndim(_quiet(sign)) != 0 or sign not in (-1, 1):
+        raise ModelError(f"sign is {shown(sign)}; pass -1 (negative feedback) or 1 (positive feedback)")
+    return int(sign)
+
+
+def as_timebase(dt: Any) -> float:
+    """Sampling time in seconds, 0 for continuous time."""
+    if isinstance(dt, bool) or dt is None:
+        raise ModelError(
+            f"dt is {dt}: the timebase is unspecified; pass 0 (continuous) or the sampling time in seconds"
+        )
+    return as_number("dt", dt, "0 (continuous) or a positive sampling time in seconds", least=0)
+
+
+def as_period(dt: Any) -> float:
+    """A sampling time in seconds, positive."""
+    if isinstance(dt, int | float) and dt == 0 and not isinstance(dt, bool):
+        raise ModelError("dt is 0; pass the sampling time in seconds")
+    return as_number("dt", dt, "the sampling time in seconds, positive", above=0)
+
+
+def as_texts(key: str, names: Any) -> tuple[str, ...]:
+    """Texts in a tuple; one text stands for itself."""
+    found = (names,) if isinstance(names, str) else names
+    if not isinstance(found, tuple | list) or not all(isinstance(n, str) for n in found):
+        raise ModelError(f"{key} is {shown(names)}; give a list of names")
+    return tuple(found)
+
+
+def as_names(key: str, names: Any, size: int, told: str = "") -> tuple[str, ...]:
+    """`size` different names; key0, key1, ... when there are none. `told` begins the message."""
+    found = as_texts(key, names) or tuple(f"{key}{i}" for i in range(size))
+    if len(found) != size or len(set(found)) != size:
+        raise ModelError(f"{told or f'{key} is'} {list(found)}; give {size} different names")
+    return found
+
+
+def as_cost(name: str, value: Any, size: int, *, definite: bool = False) -> np.ndarray:
+    """A symmetric positive (semi)definite weight of a quadratic cost; numbers and lists as in `as_weight`."""
+    M = as_weight(name, value, size)
+    scale = np.abs(M).max(initial=0.0)
+    if np.abs(M - M.T).max(initial=0.0) > SYMMETRIC * scale:
+        raise ModelError(f"{name} is not symmetric; pass ({name} + {name}')/2, which weighs the same")
+    least = np.linalg.eigvalsh(M).min(initial=np.inf)
+    if least < -SYMMETRIC * size * scale:
+        raise ModelError(
+            f"{name} has the eigenvalue {least:.6g}; a weight has none below zero: pass {POSITIVE[definite]}"
+        )
+    if definite and least <= SYMMETRIC * scale:
+        raise ModelError(
+            f"{name} has the eigenvalue {least:.6g}; every command must cost something: pass {POSITIVE[definite]}"
+        )
+    return M
+
+
+def as_limits(name: str, value: Any, size: int, free: tuple[float, ...] = (-np.inf, np.inf)) -> np.ndarray:
+    """One limit per channel, (size,), a number standing for all; infinite ones in `free` mean no limit."""
+    wanted = f"pass a number or {size} of them"
+    try:
+        limits = np.asarray(value, dtype=float)
+    except Exception:  # whatever a foreign object raises when it is asked for numbers
+        raise ModelError(f"{name} is {shown(value)}; {wanted}") from None
+    if np.asarray(value).dtype.kind not in "iuf" or np.isnan(limits).any() or limits.shape not in ((), (size,)):
+        raise ModelError(f"{name} is {shown(value)}; {wanted}")
+    if not (np.isfinite(limits) | np.isin(limits, free)).all():
+        raise ModelError(f"{name} is {limits}; pass finite numbers" + (f" or {free[0]}" if free else ""))
+    return np.array(np.broadcast_to(limits, (size,)))
