@@ -178,7 +178,7 @@ def as_names(key: str, names: Any, size: int, told: str = "") -> tuple[str, ...]
     """`size` different names; key0, key1, ... when there are none. `told` begins the message."""
     found = as_texts(key, names) or tuple(f"{key}{i}" for i in range(size))
     if len(found) != size or len(set(found)) != size:
-        raise ModelError(f"{told or f'{key} is'} {list(found)}; give {size} different names")
+        raise ModelError(f"{f'{told} {found}' if told else f'{key} is {list(found)}'}; give {size} different names")
     return found
 
 
@@ -188,14 +188,12 @@ def as_cost(name: str, value: Any, size: int, *, definite: bool = False) -> np.n
     scale = np.abs(M).max(initial=0.0)
     if np.abs(M - M.T).max(initial=0.0) > SYMMETRIC * scale:
         raise ModelError(f"{name} is not symmetric; pass ({name} + {name}')/2, which weighs the same")
-    least = np.linalg.eigvalsh(M).min(initial=np.inf)
+    least = float(f"{np.linalg.eigvalsh(M).min(initial=np.inf):.6g}")
     if least < -SYMMETRIC * size * scale:
-        raise ModelError(
-            f"{name} has the eigenvalue {least:.6g}; a weight has none below zero: pass {POSITIVE[definite]}"
-        )
+        raise ModelError(f"{name} has the eigenvalue {least}; a weight has none below zero: pass {POSITIVE[definite]}")
     if definite and least <= SYMMETRIC * scale:
         raise ModelError(
-            f"{name} has the eigenvalue {least:.6g}; every command must cost something: pass {POSITIVE[definite]}"
+            f"{name} has the eigenvalue {least}; every command must cost something: pass {POSITIVE[definite]}"
         )
     return M
 

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from synth.checks import as_array, as_matrix, as_number, as_period, as_weight
+from synth.checks import as_array, as_matrix, as_number, as_timebase, as_weight
 from synth.errors import ModelError
 from synth.systems.statespace import StateSpace, as_system
 
@@ -88,7 +88,7 @@ def state_feedback(K: Any, dt: float) -> LinearController:
     ------
     ModelError : K is no finite matrix or `dt` is no sampling time.
     """
-    return LinearController.of(StateSpace.gain(as_matrix("K", K), as_period(dt)))
+    return LinearController.of(StateSpace.gain(as_matrix("K", K), as_timebase(dt)))
 
 
 def proportional_derivative(inertia: Any, wn: float, zeta: float, dt: float) -> LinearController:

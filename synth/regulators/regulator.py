@@ -105,10 +105,10 @@ def _arguments(function: str, names: tuple[str, ...], positional: tuple[Any, ...
     weights = [found.get(name) for name in names]
     if whole:
         return Given(as_system("sys", found["sys"]), True, weights)
-    A = as_matrix("A", found["A"])
-    n = len(A)
-    A, B = as_matrix("A", A, (n, n)), as_array("B", found["B"], "pass a real matrix, states x inputs")
-    B = as_matrix("B", B if B.ndim > 1 or n == 1 else B.reshape(-1, 1), (n, None))
+    A, B = as_matrix("A", found["A"]), as_array("B", found["B"], "pass a real matrix, states x inputs")
+    B = as_matrix("B", B.reshape(-1, 1) if B.ndim < 2 and len(A) > 1 else B)
+    n = len(B)
+    A = as_matrix("A", A, (n, n))
     return Given(StateSpace(A, B, np.zeros((1, n)), np.zeros((1, B.shape[1]))), False, weights)
 
 
