@@ -9,6 +9,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from synth.analysis.coprime import gang_of_four as gang_of_four
     from synth.analysis.coprime import ncfmargin as ncfmargin
     from synth.analysis.gap import Gap as Gap
     from synth.analysis.gap import gapmetric as gapmetric
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from synth.delivery.acceptance import Acceptance as Acceptance
     from synth.delivery.acceptance import Requirements as Requirements
     from synth.delivery.acceptance import accept as accept
+    from synth.delivery.formats import export as export
     from synth.delivery.plots import sigma_plot as sigma_plot
     from synth.equations.riccati import care as care
     from synth.equations.riccati import dare as dare
@@ -118,9 +120,11 @@ _HOME = {
     "dare": "equations.riccati",
     "diskmargin": "analysis.stabilitymargins",
     "dlqr": "regulators.regulator",
+    "export": "delivery.formats",
     "feedback": "systems.connect",
     "free_motion": "predictive.fuel",
     "fuel_mpc": "predictive.fuel",
+    "gang_of_four": "analysis.coprime",
     "gapmetric": "analysis.gap",
     "h2norm": "analysis.norms",
     "hinfnorm": "analysis.norms",
@@ -144,6 +148,7 @@ _HOME = {
     "series": "systems.connect",
     "sigma_plot": "delivery.plots",
     "state_feedback": "regulators.controller",
+    "system": "systems.statespace",
     "verify": "analysis.norms",
 }
 

@@ -1,17 +1,19 @@
 """A design as a TOML file: plant, weights, method and what is asked of the result.
 
-    [plant]           matrices A, B, C, D (or A, B1, ..., D22) and dt, or file = "plant.json" (or .mat) beside it;
-                      sample = 0.5 discretises a continuous plant, hold = "zoh" (default) or "tustin"; u, y, units
+    [plant]           matrices A, B, C, D (or A, B1, ..., D22), or num and den, or zeros, poles and gain; and dt; or
+                      file = "plant.json" (or .mat) beside it. sample = 0.5 discretises a continuous plant, hold = "zoh"
+                      (default) or "tustin"; delay = 1.0 in s, of the inputs, in whole samples; u, y, units
     [synthesis]       problem = "tracking", "generalized", "loopshaping" or "mixedsensitivity"; method, gamma; for loop
                       shaping also gamma_factor, and feedback = "negative" for a controller that acts on r - y; for
                       mixed sensitivity also shift
     [weights]         tracking: Wproc, Wdist, Werr, Wact, Wr; loop shaping: W1, W2, mixed sensitivity: W1, W2, W3
-                      (matrices or tables A, B, C, D)
+                      (matrices or tables A, B, C, D; num, den; zeros, poles, gain)
     [specifications]  max_norm; the fields of `Requirements`; umin, umax, overload; antiwindup = true for the
                       conditioned controller of a loop-shaping design; dt at which a continuous design is to run
 
-A matrix is a list of rows, {diag = [...]}, or a number, which stands for that multiple of the identity. The file is
-checked as a whole: all mistakes are told at once, each with its path.
+A matrix is a list of rows, {diag = [...]}, or a number, which stands for that multiple of the identity. Polynomials are
+lists of coefficients, highest power first; a complex zero or pole is a text, "-1+2j". The file is checked as a whole:
+all mistakes are told at once, each with its path.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ import numpy as np
 from synth.analysis.coprime import gang_of_four
 from synth.command.tables import Table
 from synth.delivery.acceptance import Acceptance, Requirements, accept, sampled
-from synth.delivery.modelfiles import NINE, Model, read
+from synth.delivery.modelfiles import FRACTIONS, NINE, Model, read
 from synth.errors import ModelError, SpecificationError, SynthError
 from synth.regulators.antiwindup import AntiWindup
 from synth.synthesis.design import Design
@@ -35,9 +37,10 @@ from synth.synthesis.hinfinity import METHODS, hinfsyn
 from synth.synthesis.loopshaping import METHODS as SHAPING_METHODS
 from synth.synthesis.loopshaping import ncfsyn
 from synth.synthesis.mixedsensitivity import augw, mixsyn
+from synth.systems.connect import input_delay
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.sampled import c2d
-from synth.systems.statespace import StateSpace
+from synth.systems.statespace import StateSpace, as_system
 
 PROBLEMS = ("tracking", "generalized", "loopshaping", "mixedsensitivity")
 TRACKING = {"Wproc": "u", "Wdist": "y", "Werr": "y", "Wact": "u", "Wr": "y"}  # weight -> signals of the plant
@@ -66,7 +69,7 @@ class Study:
         if design.plant.dt == 0 and "dt" not in self.gate:
             return None
         limited = "umin" in self.gate or "umax" in self.gate
-        plant = gang_of_four(StateSpace.of(self.plant)) if self.problem == "loopshaping" and limited else None
+        plant = gang_of_four(self.plant) if self.problem == "loopshaping" and limited else None
         gate = dict(self.gate)
         if gate.pop("antiwindup", False):
             gate["antiwindup"] = AntiWindup.of(design, gate.get("umin", -np.inf), gate.get("umax", np.inf)).L
@@ -143,6 +146,12 @@ def _plant(table: Table, folder: Path) -> tuple[GeneralizedPlant | StateSpace | 
         plant = _from_file(table, folder, about) if table.has("file") else _from_matrices(table)
         if sample is not None and plant is not None:
             plant = _sampled(plant, sample, hold or "zoh")
+        if table.has("delay") and plant is not None:
+            if isinstance(plant, GeneralizedPlant):
+                raise ModelError(
+                    "delay is for a plant with inputs u alone; put it into A, B1, ... of a generalised one"
+                )
+            plant = input_delay(plant, table.data["delay"])
     except SynthError as error:
         if len(table.problems) == before:
             table.problems.append(f"{table.path}: {error}")
@@ -189,6 +198,8 @@ def _from_matrices(table: Table) -> GeneralizedPlant | StateSpace | None:
     dt = table.number("dt", least=0)
     if dt is None and "dt" not in table.data:
         table.wrong("dt", "missing; 0 for continuous time, or the sampling time in s")
+    if given := _fraction(table):
+        return None if dt is None else as_system(table.path, given | {"dt": dt})
     nine = any(name in table.data for name in NINE[1:])
     names = NINE if nine else tuple("ABCD")
     rows: dict[str, Any] = {}
@@ -201,6 +212,11 @@ def _from_matrices(table: Table) -> GeneralizedPlant | StateSpace | None:
     if dt is None or any(M is None for M in rows.values()):
         return None
     return GeneralizedPlant(**rows, dt=dt) if nine else StateSpace(**rows, dt=dt)
+
+
+def _fraction(table: Table) -> dict[str, Any]:
+    """Polynomials, or zeros, poles and gain, if the table has them."""
+    return {key: table.data[key] for keys in FRACTIONS for key in keys if key in table.data and table.has(key)}
 
 
 def _expected(name: str, rows: dict[str, Any], n: int | None) -> tuple[int | None, int | None]:
@@ -286,6 +302,13 @@ def _shaping_weight(weights: Table, key: str, size: int | None, plant: StateSpac
     if not isinstance(weights.data[key], dict) or "diag" in weights.data[key]:
         return weights.matrix(key, (size, size))
     table = weights.table(key)
+    if given := _fraction(table):
+        table.close()
+        try:
+            return None if plant is None else as_system(key, given | {"dt": plant.dt})
+        except ModelError as error:
+            weights.wrong(key, str(error))
+            return None
     n = len(table.data["A"]) if isinstance(table.data.get("A"), list) else None
     shape = {"A": (n, n), "B": (n, None), "C": (None, n), "D": (None, None)}
     rows = {name: table.matrix(name, shape[name]) for name in "ABCD"}

@@ -4,7 +4,8 @@ A JSON file says in `format` what it is:
 
     convex-synth design       what `Design.save` writes
     convex-synth controller   what `export` writes of a controller without a plant, with limits and gain of anti-windup
-    convex-synth system       A, B, C, D of a plant or a controller, or A, B1, B2, ..., D22 of a generalised plant
+    convex-synth system       A, B, C, D of a plant or a controller, or A, B1, B2, ..., D22 of a generalised plant, or
+                              num, den or zeros, poles, gain (as `synth.system` takes them) with `dt`; `delay` in s
 
 A system is  {"format": "convex-synth system", "format_version": 1, "dt": 0.5, "A": [[...], ...], ...}  with matrices
 as lists of rows, `dt` in seconds (0 for continuous time), and optionally the names of its signals, "u": [...],
@@ -28,13 +29,15 @@ from synth.files import write_atomically
 from synth.regulators.antiwindup import AntiWindup
 from synth.synthesis import design as designs
 from synth.synthesis.design import Design
+from synth.systems.connect import input_delay
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace
+from synth.systems.statespace import StateSpace, as_system
 
 SYSTEM = "convex-synth system"
 CONTROLLER = "convex-synth controller"
 FORMAT_VERSION = 1
 NINE = tuple(f.name for f in fields(GeneralizedPlant))[:9]  # A, B1, ..., D22
+FRACTIONS = (("num", "den"), ("zeros", "poles", "gain"))  # instead of A, B, C, D
 LABELS = ("w", "u", "z", "y", "units")
 LONGEST_TEXT = 64 * 2**20  # bytes of a JSON file
 
@@ -113,20 +116,24 @@ def read_json(path: Path) -> Any:
 def as_model(data: dict[str, Any]) -> GeneralizedPlant | Model:
     """A system from plain data: matrices, `dt`, names and units."""
     nine = "B1" in data
-    wanted = (*(NINE if nine else "ABCD"), "dt")
+    form = next((keys for keys in FRACTIONS if any(key in data for key in keys)), None) if not nine else None
+    wanted = (*(NINE if nine else form or tuple("ABCD")), "dt")
     if missing := [name for name in wanted if name not in data]:
         raise ModelError(f"the system has no {', '.join(missing)}; it needs {', '.join(wanted)}")
     labels = {key: data[key] for key in LABELS if key in data}
     for key, value in labels.items():
         if not isinstance(value, dict if key == "units" else list):
             raise ModelError(f"{key} is {value!r}; pass {'names and units' if key == 'units' else 'a list of names'}")
-    matrices: dict[str, Any] = {name: data[name] if name == "dt" else _matrix(name, data[name]) for name in wanted}
+    loose = ("dt", *(form or ()))
+    matrices: dict[str, Any] = {name: data[name] if name in loose else _matrix(name, data[name]) for name in wanted}
     names: dict[str, Any] = {key: tuple(value) for key, value in labels.items() if key != "units"}
     units = dict(labels.get("units", {}))
     try:
         if nine:
             return GeneralizedPlant(**matrices, **names, units=units)
-        system = StateSpace(**matrices)
+        system = as_system("the system", matrices) if form else StateSpace(**matrices)
+        if "delay" in data:
+            system = input_delay(system, data["delay"])
         return Model(system, names.get("u", ()), names.get("y", ()), units, _limited(data, system))
     except (TypeError, ValueError) as error:
         raise error if isinstance(error, ModelError) else ModelError(f"the system is damaged: {error}") from None

@@ -6,11 +6,12 @@ All take any description of a system.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from synth.checks import as_whole
+from synth.checks import as_array, as_whole
 from synth.errors import ModelError
 from synth.systems.realization import is_singular
 from synth.systems.statespace import StateSpace, as_systems
@@ -33,6 +34,35 @@ def delayed(G: StateSpace) -> StateSpace:
     """A discrete system whose outputs come one sample later."""
     p = G.ny
     return series(G, StateSpace(np.zeros((p, p)), np.eye(p), np.eye(p), np.zeros((p, p)), G.dt))
+
+
+def input_delay(G: StateSpace, delay: Any) -> StateSpace:
+    """A discrete system whose inputs act `delay` s later, a whole number of samples; one number for all, or m of them.
+
+    Raises
+    ------
+    ModelError : the system is continuous, or a delay is negative or no whole number of samples.
+    """
+    late = as_array("delay", delay, f"pass a time in s, or {G.nu} of them")
+    if late.shape not in ((), (G.nu,)) or late.min() < 0:
+        raise ModelError(f"delay is {late.tolist()}; pass a time in s that is not negative, or {G.nu} of them")
+    if not G.discrete:
+        raise ModelError(
+            f"delay is {late.tolist()} s, which no continuous system of finite order has; sample the plant first "
+            "(c2d, or `sample` in a study file), or put a Pade approximation into it"
+        )
+    samples = np.broadcast_to(late / G.dt, (G.nu,))
+    whole = np.round(samples)
+    if not np.allclose(samples, whole, rtol=0, atol=1e-6):
+        raise ModelError(f"delay is {late.tolist()} s, {samples.tolist()} samples of {G.dt:g} s; pass whole samples")
+    chains = [np.eye(int(k), k=-1) for k in whole]
+    n, ends = sum(map(len, chains)), np.cumsum([len(chain) for chain in chains])
+    A = np.zeros((n, n))
+    B, C, D = np.zeros((n, G.nu)), np.zeros((G.nu, n)), np.diag((whole == 0).astype(float))
+    for j, (chain, end) in enumerate(zip(chains, ends, strict=True)):
+        if k := len(chain):
+            A[end - k : end, end - k : end], B[end - k, j], C[j, end - 1] = chain, 1.0, 1.0
+    return replace(G * StateSpace(A, B, C, D, G.dt), u=G.u, units=G.units)
 
 
 def feedback(G: Any, K: Any = 1, sign: int = -1) -> StateSpace:

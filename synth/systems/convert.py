@@ -184,9 +184,13 @@ def _of_roots(name: str, zeros: Any, poles: Any, gain: Any, dt: float | None) ->
     roots = []
     for key, value in (("zeros", zeros), ("poles", poles)):
         try:
-            found = np.asarray(value, dtype=complex).ravel()
-        except (TypeError, ValueError):
-            raise ModelError(f"the {key} of {name} are {shown(value)}; pass a list of numbers") from None
+            found = np.atleast_1d(np.asarray(value, dtype=complex))
+        except (TypeError, ValueError, OverflowError):
+            found = np.zeros((1, 1))
+        if found.ndim > 1:
+            raise ModelError(
+                f"the {key} of {name} are {shown(value)}; pass a list of numbers, in files complex ones as '-1+2j'"
+            )
         if not np.isfinite(found).all():
             raise ModelError(f"the {key} of {name} are {shown(value)}; every one must be finite")
         roots.append(found)
