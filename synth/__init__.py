@@ -78,6 +78,7 @@ if TYPE_CHECKING:
     from synth.systems.generalized import GeneralizedPlant as GeneralizedPlant
     from synth.systems.sampled import c2d as c2d
     from synth.systems.statespace import StateSpace as StateSpace
+    from synth.systems.statespace import system as system
 
 _HOME = {
     "Acceptance": "delivery.acceptance",

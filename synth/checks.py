@@ -6,7 +6,9 @@ argument, what was got, and what to pass instead. Nothing is clipped, rounded or
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ from synth.errors import ModelError
 SYMMETRIC = 1e-12  # relative
 POSITIVE = ("a symmetric positive semidefinite matrix", "a symmetric positive definite matrix")
 SHOWN = 60  # characters of a wrong value in a message
+MOST = 1_000_000  # samples or signals that anybody counts
 KINDS = {"c": "complex", "M": "a date", "m": "a time span", "S": "text", "U": "text", "V": "a record"}
 
 
@@ -32,11 +35,18 @@ def shown(value: Any) -> str:
 
 
 def as_array(
-    name: str, value: Any, wanted: str = "pass real numbers", kind: str = "an array of real numbers"
+    name: str,
+    value: Any,
+    wanted: str = "pass real numbers",
+    kind: str = "an array of real numbers",
+    *,
+    finite: bool = True,
 ) -> np.ndarray:
-    """Finite float64 numbers in an array of any shape, a copy."""
+    """Float64 numbers in an array of any shape, a copy; finite ones unless the caller looks at that itself."""
     if type(value) is np.ndarray and value.dtype == np.float64 and np.isfinite(value).all():
         return value.copy()
+    if callable(value):
+        raise ModelError(f"{name} is not {kind} ({shown(value)}); {wanted}")
     if hasattr(value, "toarray"):
         raise ModelError(f"{name} is a sparse matrix; pass {name}.toarray(), small systems are kept dense")
     try:
@@ -52,7 +62,7 @@ def as_array(
         raise ModelError(f"{name} is not {kind} ({shown(value)}: {error}); {wanted}") from None
     if np.ma.is_masked(value):
         raise ModelError(f"{name} has masked entries, which have no value; {wanted}")
-    if not np.isfinite(M).all():
+    if finite and not np.isfinite(M).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(M))[0])
         at = f"[{', '.join(map(str, where))}]" if where else ""
         raise ModelError(f"{name}{at} is {M[where]}; every entry must be finite")
@@ -119,12 +129,12 @@ def _quiet(value: Any) -> Any:
     return value
 
 
-def as_whole(name: str, value: Any, wanted: str, *, least: int, most: int | None = None) -> int:
+def as_whole(name: str, value: Any, wanted: str, *, least: int, most: int = MOST) -> int:
     """A whole number within its bounds."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
         raise ModelError(f"{name} is {shown(value)}; pass {wanted}")
-    if value < least or (most is not None and value > most):
-        raise ModelError(f"{name} is {value}; pass {wanted}")
+    if not least <= value <= most:
+        raise ModelError(f"{name} is {shown(value)}; pass {wanted}{f', at most {most}' if value > most else ''}")
     return int(value)
 
 
@@ -141,6 +151,13 @@ def as_flag(name: str, value: Any) -> bool:
     if not isinstance(value, bool | np.bool_):
         raise ModelError(f"{name} is {shown(value)}; pass True or False")
     return bool(value)
+
+
+def as_path(name: str, value: Any) -> Path:
+    """A path of the file system."""
+    if not isinstance(value, str | os.PathLike):
+        raise ModelError(f"{name} is {shown(value)}; pass the path of a file or folder")
+    return Path(value)
 
 
 def as_sign(sign: Any) -> int:
@@ -210,3 +227,17 @@ def as_limits(name: str, value: Any, size: int, free: tuple[float, ...] = (-np.i
     if not (np.isfinite(limits) | np.isin(limits, free)).all():
         raise ModelError(f"{name} is {limits}; pass finite numbers" + (f" or {free[0]}" if free else ""))
     return np.array(np.broadcast_to(limits, (size,)))
+
+
+def as_indices(kind: str, key: Any, names: tuple[str, ...]) -> list[int]:
+    """Numbers of the signals that a key means."""
+    if isinstance(key, slice):
+        return list(range(len(names))[key])
+    if isinstance(key, list | tuple | range | np.ndarray):
+        return [i for k in key for i in as_indices(kind, k, names)]
+    if isinstance(key, str):
+        if key not in names:
+            raise ModelError(f"there is no {kind} {key!r}; there are {', '.join(names)}")
+        return [names.index(key)]
+    i = as_whole(kind, key, f"a name or a number from 0 to {len(names) - 1}", least=-len(names), most=len(names) - 1)
+    return [i % len(names)]

@@ -27,7 +27,7 @@ from synth.equations.doubling import Riccati, is_nonnegative, is_positive, solve
 from synth.errors import NumericalError
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.sampled import cayley
-from synth.systems.statespace import StateSpace, as_system, as_systems
+from synth.systems.statespace import StateSpace, as_system, as_systems, check_loop
 
 NEGLIGIBLE = 1e-8  # of the largest LQG singular value; below it they are rounding
 APART = 0.1  # relative distance of the Cayley rate from every pole
@@ -67,6 +67,7 @@ def ncfmargin(P: Any, K: Any, sign: int = -1) -> float:
     """
     P, K = as_systems(P=P, K=K)
     sign = as_sign(sign)
+    check_loop("P", P, "K", K)
     loop = gang_of_four(P).close(K if sign == 1 else -K)
     return 1 / verify(loop).norm if is_stable(loop) else 0.0
 

@@ -21,7 +21,9 @@ import numpy as np
 import scipy.linalg as sla
 from scipy.optimize import minimize_scalar
 
+from synth.checks import as_number
 from synth.errors import NumericalError, VerificationError
+from synth.systems.realization import balanced
 from synth.systems.sampled import cayley, cayley_rate
 from synth.systems.statespace import StateSpace, as_system
 from synth.threads import one_thread
@@ -45,15 +47,7 @@ def is_stable(G: StateSpace) -> bool:
 
 def balance(G: StateSpace) -> StateSpace:
     """The same system with states scaled by powers of two so that its rows and columns have like norms."""
-    if G.n == 0:
-        return G
-    M = np.zeros((G.n + 1, G.n + 1))
-    M[:-1, :-1] = np.abs(G.A)
-    M[:-1, -1] = np.linalg.norm(G.B, axis=1)
-    M[-1, :-1] = np.linalg.norm(G.C, axis=0)
-    _, (scale, _) = sla.matrix_balance(M, permute=False, separate=True)
-    t = scale[:-1] / scale[-1]
-    return StateSpace(G.A * t / t[:, None], G.B / t[:, None], G.C * t, G.D, G.dt)
+    return StateSpace(*balanced(G.matrices), G.dt)
 
 
 def h2norm(system: Any) -> float:
@@ -81,6 +75,7 @@ def hinfnorm(system: Any, tol: float = 1e-7) -> tuple[float, float]:
     evaluated at the returned frequency; `verify` confirms it from above.
     """
     G = as_system("the system", system)
+    tol = as_number("tol", tol, "a relative tolerance, 1e-9 for example", above=0)
     if not is_stable(G):
         poles = G.poles()
         worst = poles[np.argmax(np.abs(poles) if G.discrete else np.real(poles))]

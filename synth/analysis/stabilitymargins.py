@@ -29,7 +29,7 @@ from synth.checks import as_sign
 from synth.errors import ModelError
 from synth.systems.connect import delayed, feedback, lft, series
 from synth.systems.sampled import cayley, cayley_rate
-from synth.systems.statespace import StateSpace, as_system, as_systems
+from synth.systems.statespace import StateSpace, as_system, as_systems, check_loop
 
 NEAR_CIRCLE = 1e-4  # an eigenvalue this near the unit circle is a candidate; candidates are then polished
 REAL = 1e-6  # |Im L| / |L| up to which a polished candidate counts as real
@@ -190,8 +190,7 @@ def margins(P: Any, K: Any, sign: int = -1) -> Margins:
     ModelError : sizes or timebases disagree, a loop is not well posed, `sign` is neither -1 nor 1.
     """
     P, K = as_systems(P=P, K=K)
-    if (K.ny, K.nu) != (P.nu, P.ny):
-        raise ModelError(f"K is {K.ny} x {K.nu}; the {P.ny} x {P.nu} plant needs {P.nu} x {P.ny}")
+    check_loop("P", P, "K", K)
     at_input, at_output = _negative(series(P, K), sign), _negative(series(K, P), sign)
     return Margins(
         input=tuple(margin(one_loop(at_input, i)) for i in range(P.nu)),

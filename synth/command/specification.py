@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from synth.analysis.coprime import gang_of_four
+from synth.checks import as_path
 from synth.command.tables import Table
 from synth.delivery.acceptance import Acceptance, Requirements, accept, sampled
 from synth.delivery.modelfiles import FRACTIONS, NINE, Model, read
@@ -92,7 +93,7 @@ def read_study(path: str | os.PathLike[str]) -> Study:
     ------
     SpecificationError : the file is missing, is no TOML, or says what cannot be; names all mistakes with their paths.
     """
-    path = Path(path)
+    path = as_path("path", path)
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

@@ -130,7 +130,7 @@ def accept(
     ------
     ModelError : a continuous design without `dt`, sizes that do not fit, limits or requirements that make no sense.
     """
-    requirements = requirements or Requirements()
+    requirements = Requirements() if requirements is None else requirements
     if isinstance(design, AntiWindup):
         if not (umin is None and umax is None and antiwindup is None):
             raise ModelError("umin, umax or antiwindup is given, but an AntiWindup has its own; leave them away")

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
+from synth.checks import shown
 from synth.errors import ExportError
 from synth.files import write_atomically
 
@@ -32,7 +33,7 @@ def check_name(name: str) -> str:
     """A name that is safe as a C identifier and as a file's name, or an ExportError."""
     if not isinstance(name, str) or not IDENTIFIER.fullmatch(name):
         raise ExportError(
-            f"name is {name!r}; it becomes C identifiers and file names: pass letters, digits and underscores, a "
+            f"name is {shown(name)}; it becomes C identifiers and file names: pass letters, digits and underscores, a "
             "letter first, and no folder"
         )
     if name.lower() in RESERVED:

@@ -53,15 +53,21 @@ def export(
     ModelError : the controller, the limits or the gain are not valid.
     VerificationError : rounded to float, the controller does not stabilise the design's plant.
     """
+    from synth.checks import as_flag, as_path, shown
     from synth.delivery.files import check_name, write_all
     from synth.errors import ExportError
 
-    if format not in FORMATS:
-        raise ExportError(f"format is {format!r}; pass one of {', '.join(FORMATS)}")
+    if not isinstance(format, str) or format not in FORMATS:
+        raise ExportError(f"format is {shown(format)}; pass one of {', '.join(FORMATS)}")
     check_name(name)
+    folder = as_path("folder", folder)
+    for flag, given in (("force", force), ("allow_unstable", allow_unstable), ("self_test", self_test)):
+        as_flag(flag, given)
     options = {"umin": umin, "umax": umax, "antiwindup": antiwindup}
     if format in ("json", "mat"):
-        given = [key for key, value in options.items() if value is not None] + ["dtype"] * (dtype != "double")
+        given = [key for key, value in options.items() if value is not None]
+        if not (isinstance(dtype, str) and dtype == "double"):
+            given.append("dtype")
         if given:
             raise ExportError(f"{', '.join(given)}: a {format} file holds the design as it is; leave this away")
         files = _documents(design, format, name)

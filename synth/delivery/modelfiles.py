@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from synth.checks import as_limits, as_matrix
+from synth.checks import as_limits, as_matrix, as_path
 from synth.errors import ModelError
 from synth.files import write_atomically
 from synth.regulators.antiwindup import AntiWindup
@@ -75,7 +75,7 @@ def read(path: str | os.PathLike[str]) -> Design | GeneralizedPlant | Model:
     ModelError : the file is missing, no file, of another kind, incomplete or damaged, with what to do about it.
     VerificationError : a design does not do what its file says.
     """
-    path = Path(path)
+    path = as_path("path", path)
     if not path.exists():
         raise ModelError("there is no such file")
     if path.is_dir():
@@ -166,7 +166,7 @@ def save_system(path: str | os.PathLike[str], model: Model | StateSpace | Genera
     ------
     ModelError : the file name ends otherwise, or the model is a controller with limits.
     """
-    path = Path(path)
+    path = as_path("path", path)
     if path.suffix != ".json":
         raise ModelError(f"path ends with {path.suffix!r}; a system is saved as .json")
     model = Model(model) if isinstance(model, StateSpace) else model

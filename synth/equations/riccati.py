@@ -28,6 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_batching import custom_vmap
 
+from synth.checks import as_array
 from synth.errors import ModelError
 
 DOUBLINGS = 40  # 2^40 samples: slower convergence than that is a mode on the stability boundary
@@ -365,7 +366,7 @@ def _floats(*operands):
 def _checked(A, B, Q, R):
     """A, G = B R^-1 B' and Q with the same leading axes, as NumPy arrays."""
     named = {"A": A, "B": B, "Q": Q} | ({} if R is None else {"R": R})
-    arrays = {name: np.asarray(value, float) for name, value in named.items()}
+    arrays = {name: as_array(name, value, finite=False) for name, value in named.items()}
     for name, value in arrays.items():
         if value.ndim < 2 or not np.isfinite(value).all():
             raise ModelError(f"{name} is no array of finite matrices (shape {value.shape}); pass (..., rows, columns)")

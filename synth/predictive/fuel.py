@@ -28,6 +28,7 @@ import scipy.linalg as sla
 from synth.checks import as_limits, as_matrix, as_number, as_period, as_vector, as_whole
 from synth.errors import ModelError, NumericalError
 from synth.predictive.parametriclp import ParametricLp, canonicalise
+from synth.systems.connect import check_dynamic
 from synth.systems.sampled import c2d
 from synth.systems.statespace import StateSpace, as_system
 
@@ -287,7 +288,8 @@ def free_motion(G: Any, x0: Any, *, dt: float, samples: int, held: Any = None) -
     ------
     ModelError : G is discrete, or a shape does not fit.
     """
-    G = c2d(G, dt)
+    G = c2d(as_system("G", G), dt)
+    check_dynamic("G", G)
     x = as_vector("x0", x0, G.n)
     as_whole("samples", samples, "a whole number of samples, at least 1", least=1)
     inputs = np.zeros((samples, G.nu)) if held is None else as_matrix("held", held, (samples, G.nu))

@@ -12,8 +12,9 @@ import numpy as np
 import scipy.linalg as sla
 
 from synth.analysis.precondition import check_assumptions
-from synth.checks import as_array, as_cost, as_matrix, as_number, as_weight
+from synth.checks import as_array, as_cost, as_matrix, as_number
 from synth.errors import AssumptionError, ModelError, NumericalError
+from synth.systems.connect import check_dynamic
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace, as_system
 
@@ -108,7 +109,8 @@ def _arguments(function: str, names: tuple[str, ...], positional: tuple[Any, ...
     A, B = as_matrix("A", found["A"]), as_array("B", found["B"], "pass a real matrix, states x inputs")
     B = as_matrix("B", B.reshape(-1, 1) if B.ndim < 2 and len(A) > 1 else B)
     n = len(B)
-    A = as_matrix("A", A, (n, n))
+    if A.shape != (n, n):
+        raise ModelError(f"A is {A.shape[0]} x {A.shape[1]} where {n} x {n} is needed for B, which has {n} rows")
     return Given(StateSpace(A, B, np.zeros((1, n)), np.zeros((1, B.shape[1]))), False, weights)
 
 
@@ -116,7 +118,9 @@ def _is_system(value: Any) -> bool:
     """Whether a first argument is a system rather than the matrix A."""
     if isinstance(value, tuple):
         return not all(np.isscalar(entry) for entry in value) and not _is_matrix(value)
-    return not (isinstance(value, np.ndarray | list) or np.isscalar(value) or value is None or hasattr(value, "shape"))
+    return not (
+        isinstance(value, np.ndarray | list) or np.isscalar(value) or value is None or hasattr(value, "__array__")
+    )
 
 
 def _is_matrix(value: tuple) -> bool:
@@ -221,7 +225,10 @@ def lqg(G: Any, QXU: Any, QWV: Any) -> StateSpace:
     """
     G = as_system("G", G)
     n, m, p = G.n, G.nu, G.ny
-    W, V = as_weight("QXU", QXU, n + m), as_weight("QWV", QWV, n + p)
+    check_dynamic("G", G)
+    W, V = as_cost("QXU", QXU, n + m), as_cost("QWV", QWV, n + p)
+    as_cost("the block of u in QXU", W[n:, n:], m, definite=True)
+    as_cost("the block of v in QWV", V[n:, n:], p, definite=True)
     K = _regulator(G, W[:n, :n], W[n:, n:], W[:n, n:], discrete=G.discrete)[0]
     dual = StateSpace(G.A.T, G.C.T, G.B.T, G.D.T, G.dt)
     L = _regulator(dual, V[:n, :n], V[n:, n:], V[:n, n:], discrete=G.discrete)[0].T

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from synth.checks import as_limits, as_matrix
+from synth.checks import as_limits, as_matrix, shown
 from synth.errors import ExportError, ModelError
 from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.controller import LinearController
@@ -116,8 +116,8 @@ class SequentialController:
         ExportError : the controller is continuous or unstable, its numbers do not fit into `dtype`, or A - L C is not
             stable.
         """
-        if dtype not in DTYPES:
-            raise ExportError(f"dtype is {dtype!r}; pass 'double' or 'float'")
+        if not isinstance(dtype, str) or dtype not in DTYPES:
+            raise ExportError(f"dtype is {shown(dtype)}; pass 'double' or 'float'")
         if isinstance(source, AntiWindup):
             if not (umin is None and umax is None and antiwindup is None):
                 raise ModelError("umin, umax or antiwindup is given, but an AntiWindup has its own; leave them away")

@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Protocol
 
 from synth.analysis.norms import Verification, verify
 from synth.analysis.precondition import check_assumptions, precondition
-from synth.checks import as_choice, as_number
+from synth.checks import as_choice, as_number, as_whole
 from synth.errors import InfeasibleError, ModelError, NumericalError, SynthError
 from synth.files import provenance
 from synth.synthesis.design import Design, Info
@@ -101,7 +101,10 @@ def hinfsyn(
     and Nonlinear Control 4, 421; Pecorilla and Stesina (2024), doi 10.1002/rnc.7119, equations (16) to (22).
     """
     started = time.perf_counter()
-    if ncont is not None and ncon not in (None, ncont):
+    for name, count in (("nmeas", nmeas), ("ncon", ncon), ("ncont", ncont)):
+        if count is not None:
+            as_whole(name, count, "the number of signals, at least 1", least=1)
+    if None not in (ncon, ncont) and ncon != ncont:
         raise ModelError(f"ncon = {ncon} and ncont = {ncont} are two names of one number; pass one of them")
     plant = as_plant(P, nmeas, ncont if ncon is None else ncon)
     as_choice("method", method, METHODS)
@@ -215,7 +218,7 @@ def as_plant(P: Any, nmeas: int | None, ncon: int | None) -> GeneralizedPlant:
     if nmeas not in (None, ny) or ncon not in (None, nu):
         raise ModelError(f"nmeas = {nmeas}, ncon = {ncon} contradict the plant's {ny} measurements and {nu} controls")
     if n == 0:
-        raise ModelError("the plant has no states (A is empty); add the dynamics to be controlled")
+        raise ModelError("the plant P has no states (A is empty); add the dynamics to be controlled")
     return P
 
 

@@ -33,7 +33,7 @@ from synth.equations.doubling import FINAL_RESIDUAL
 from synth.errors import InfeasibleError, ModelError, NumericalError, VerificationError
 from synth.files import provenance
 from synth.synthesis.design import Design, Info, Shaping
-from synth.systems.connect import series
+from synth.systems.connect import check_dynamic, series
 from synth.systems.statespace import StateSpace, as_system, common_timebase, repeated
 from synth.threads import one_thread
 
@@ -101,8 +101,7 @@ def ncfsyn(
     if gamma is not None:
         gamma = as_number("gamma", gamma, "a positive level, or None for gamma_factor times the optimum", above=0)
     W1, Gs, W2 = shaped(as_system("G", G), W1, W2)
-    if Gs.n == 0:
-        raise ModelError("the shaped plant has no states; add the dynamics to be controlled")
+    check_dynamic("the shaped plant W2 G W1", Gs)
     plant = gang_of_four(Gs)
     check_assumptions(plant)
     riccati = solutions(Gs)

@@ -26,7 +26,7 @@ def series(G: Any, H: Any) -> StateSpace:
     """
     G, H = as_systems(G=G, H=H)
     if G.ny != H.nu:
-        raise ModelError(f"the first system has {G.ny} outputs, the second {H.nu} inputs; they must agree")
+        raise ModelError(f"the first system, G, has {G.ny} outputs, the second, H, {H.nu} inputs; they must agree")
     return H * G
 
 
@@ -91,9 +91,9 @@ def lft(P: Any, K: Any, nmeas: int | None = None, ncon: int | None = None) -> St
     nmeas = as_whole("nmeas", K.nu if nmeas is None else nmeas, "the number of measurements", least=1)
     ncon = as_whole("ncon", K.ny if ncon is None else ncon, "the number of controls", least=1)
     if (K.ny, K.nu) != (ncon, nmeas):
-        raise ModelError(f"the controller is {K.ny} x {K.nu} where {ncon} x {nmeas} is needed (ncon x nmeas)")
+        raise ModelError(f"the controller K is {K.ny} x {K.nu} where {ncon} x {nmeas} is needed (ncon x nmeas)")
     if not (0 < nmeas < P.ny + 1 and 0 < ncon < P.nu + 1):
-        raise ModelError(f"nmeas = {nmeas}, ncon = {ncon} do not fit a plant with {P.ny} outputs and {P.nu} inputs")
+        raise ModelError(f"nmeas = {nmeas}, ncon = {ncon} do not fit P with {P.ny} outputs and {P.nu} inputs")
     mw, pz = P.nu - ncon, P.ny - nmeas
     B1, B2 = P.B[:, :mw], P.B[:, mw:]
     C1, C2 = P.C[:pz], P.C[pz:]
@@ -111,3 +111,9 @@ def lft(P: Any, K: Any, nmeas: int | None = None, ncon: int | None = None) -> St
     AB = np.vstack([top, bottom])
     units = {name: unit for name, unit in P.units.items() if name in (*P.u[:mw], *P.y[:pz])}
     return StateSpace(AB[:, x], AB[:, w], out[:, x], out[:, w], P.dt, P.u[:mw], P.y[:pz], units)
+
+
+def check_dynamic(name: str, G: StateSpace) -> None:
+    """Raise ModelError for a system without states."""
+    if G.n == 0:
+        raise ModelError(f"{name} has no states; add the dynamics to be controlled")

@@ -50,6 +50,17 @@ def parts(name: str, value: Any) -> Parts:
     ------
     ModelError : it is no linear system, is improper, or its timebase is not known; `name` is how the message calls it.
     """
+    try:
+        found = _parts(name, value)
+    except ModelError as error:
+        raise error if name in str(error) else ModelError(f"{name}: {error}") from None
+    if 0 in np.shape(found.D):
+        raise ModelError(f"{name} is {shown(value)}, without inputs or outputs; {FORMS}")
+    return found
+
+
+def _parts(name: str, value: Any) -> Parts:
+    """The same, with messages that may not name the system yet."""
     if isinstance(value, Mapping):
         return _of_mapping(name, value)
     if isinstance(value, tuple | list):
@@ -141,10 +152,9 @@ def _of_mapping(name: str, value: Mapping) -> Parts:
 
 def _of_matrices(name: str, value: Any) -> Parts:
     """An object with A, B, C, D; python-control's gain without a timebase takes that of its company."""
-    if np.size(value.A) == 0 and getattr(value, "dt", 0.0) is None:
-        dt = None
-    else:
-        dt = as_timebase(getattr(value, "dt", 0.0))
+    dt = _timebase(value)
+    if dt is None and np.size(value.A):
+        as_timebase(None)
     u, y = _names(value)
     return Parts(value.A, value.B, value.C, value.D, dt, u, y, getattr(value, "units", None))
 
@@ -162,8 +172,8 @@ def _names(value: Any) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def _timebase(value: Any) -> float | None:
-    """The sampling time of an object; None where it says none: scipy's continuous systems and control's gains."""
-    dt = getattr(value, "dt", None)
+    """The sampling time of an object; None where it says none, as control's gains do. In scipy None is continuous."""
+    dt = getattr(value, "dt", 0.0)
     if dt is None:
         return 0.0 if type(value).__module__.startswith("scipy.") else None
     return as_timebase(dt)

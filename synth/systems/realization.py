@@ -67,7 +67,8 @@ def of_polynomials(name: str, num: Polynomials, den: Polynomials, *, discrete: b
     grid = _grid([r for a, b, _ in entries.values() for r in (*np.roots(a), *np.roots(b))], discrete)
     worst = {}
     for G in sorted(candidates, key=lambda G: len(G.A)):
-        worst = _disagreement(G, entries, grid)
+        with np.errstate(all="ignore"):  # what overflows does not agree
+            worst = _disagreement(G, entries, grid)
         if worst["error"] <= AGREES:
             return G
     raise ModelError(
@@ -105,9 +106,9 @@ def of_roots(name: str, zeros: np.ndarray, poles: np.ndarray, gain: float) -> Ma
 
 def gain_at_rest(G: Matrices, *, discrete: bool) -> float:
     """The gain of one entry at s = 0 or z = 1, without what cancels; inf where a pole stands there."""
+    size = np.linalg.norm(G.A, 2) if len(G.A) else 0.0
     A, B, C, D = minimal(G, AT_ORIGIN)
     E = (np.eye(len(A)) if discrete else np.zeros_like(A)) - A
-    size = np.linalg.norm(A, 2) if len(A) else 0.0
     if len(E) and np.linalg.svd(E, compute_uv=False)[-1] <= AT_ORIGIN * max(size, 1.0 if discrete else 0.0):
         return float(np.inf)
     return float((C @ np.linalg.solve(E, B) + D)[0, 0])
@@ -130,17 +131,24 @@ def is_singular(M: np.ndarray, size: float | np.floating) -> bool:
 
 
 def balanced(G: Matrices) -> Matrices:
-    """The same system with states scaled by powers of two so that its rows and columns have like norms."""
+    """The same system with states scaled by powers of two so that its rows and columns have like norms.
+
+    Inputs and outputs weigh as much as the fastest mode, so that the time unit does not matter.
+    """
     A, B, C, D = G
     n = len(A)
     if n == 0:
         return G
+    rate = np.abs(np.linalg.eigvals(A)).max() or 1.0
     M = np.zeros((n + 1, n + 1))
     M[:-1, :-1] = np.abs(A)
-    M[:-1, -1] = np.linalg.norm(B, axis=1)
-    M[-1, :-1] = np.linalg.norm(C, axis=0)
-    _, (scale, _) = sla.matrix_balance(M, permute=False, separate=True)
-    t = scale[:-1] / scale[-1]
+    M[:-1, -1] = np.linalg.norm(B, axis=1) * np.sqrt(rate)
+    M[-1, :-1] = np.linalg.norm(C, axis=0) * np.sqrt(rate)
+    with np.errstate(all="ignore"):
+        _, (scale, _) = sla.matrix_balance(M, permute=False, separate=True)
+        t = scale[:-1] / scale[-1]
+    if not (np.isfinite(t).all() and t.all()):  # numbers beyond the range of balancing stay as they are
+        return G
     return Matrices(A * t / t[:, None], B / t[:, None], C * t, D)
 
 
@@ -241,7 +249,7 @@ def _disagreement(G: Matrices, entries: dict, grid: np.ndarray) -> dict:
             else:
                 error = abs(response[i, j] - exact) / size
             if not error <= worst["error"]:
-                worst = {"error": float(error), "at": s}
+                worst = {"error": float(error) if error == error else np.inf, "at": s}
     return worst
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from synth.checks import as_array, as_matrix, as_names, as_sign, as_timebase, as_whole, shown
+from synth.checks import as_array, as_indices, as_matrix, as_names, as_sign, as_texts, as_timebase, as_whole, shown
 from synth.errors import ModelError
 from synth.systems import zeros as transmission
 from synth.systems.convert import fitted, parts
@@ -180,8 +180,7 @@ class StateSpace:
         sign = as_sign(sign)
         K = _matched("K", K, self, square=True)
         K = -K if sign == -1 else K
-        if (K.nu, K.ny) != (self.ny, self.nu):
-            raise ModelError(f"the controller is {K.ny} x {K.nu} where {self.nu} x {self.ny} is needed")
+        check_loop("G", self, "K", K)
         E = np.eye(self.nu) - K.D @ self.D
         if is_singular(E, 1 + np.linalg.norm(K.D @ self.D, 2)):
             raise ModelError("the loop is not well posed: I - Dk D is singular; perturb one of the direct terms")
@@ -198,7 +197,7 @@ class StateSpace:
         """The system of some outputs and inputs, G[outputs, inputs]; by number, name, slice or list of them."""
         if not (isinstance(key, tuple) and len(key) == 2):
             raise ModelError(f"the index is {shown(key)}; pass outputs and inputs, as in G['angle', 0] or G[:, 1]")
-        i, j = _chosen("output", key[0], self.y), _chosen("input", key[1], self.u)
+        i, j = as_indices("output", key[0], self.y), as_indices("input", key[1], self.u)
         u, y = tuple(self.u[k] for k in j), tuple(self.y[k] for k in i)
         units = {name: unit for name, unit in self.units.items() if name in (*u, *y)}
         return StateSpace(self.A, self.B[:, j], self.C[i], self.D[np.ix_(i, j)], self.dt, u, y, units)
@@ -321,8 +320,13 @@ def system(*description: Any, dt: Any = None, u: Any = (), y: Any = (), units: A
     if not description:
         raise ModelError("no system was given; pass one, for example system([1], [1, 1])")
     value = description[0] if len(description) == 1 else tuple(description)
+    if dt is not None and isinstance(value, tuple) and len(value) in (2, 4):
+        value = (*value, dt)
+    if dt is not None and isinstance(value, Mapping):
+        value = {"dt": dt, **value}
     G = as_system("the system", value, None if dt is None else as_timebase(dt))
-    changes: dict[str, Any] = {key: names for key, names in (("u", u), ("y", y)) if len(names)}
+    named = {key: as_texts(key, () if names is None else names) for key, names in (("u", u), ("y", y))}
+    changes: dict[str, Any] = {key: names for key, names in named.items() if names}
     if changes and units is None:
         changes["units"] = {}
     if units is not None:
@@ -338,6 +342,15 @@ def common_timebase(G: StateSpace, K: StateSpace, names: tuple[str, str] | None 
         which = f"{names[0]} and {names[1]}" if names else "the systems"
         raise ModelError(f"{which} have timebases {G.dt} and {K.dt} s; convert one with c2d first")
     return G.dt
+
+
+def check_loop(name: str, G: StateSpace, controller: str, K: StateSpace) -> None:
+    """Raise ModelError unless K takes the outputs of G and makes its inputs."""
+    if (K.ny, K.nu) != (G.nu, G.ny):
+        raise ModelError(
+            f"the controller {controller} is {K.ny} x {K.nu}; {name}, which is {G.ny} x {G.nu} (outputs x inputs), "
+            f"needs {G.nu} x {G.ny}"
+        )
 
 
 def _own_timebase(name: str, value: Any) -> float | None:
@@ -375,17 +388,3 @@ def _through(H: StateSpace, G: StateSpace) -> tuple[tuple[str, ...], tuple[str, 
     """Names and units of G H: inputs of H, outputs of G."""
     units = {n: H.units[n] for n in H.u if n in H.units} | {n: G.units[n] for n in G.y if n in G.units}
     return H.u, G.y, units
-
-
-def _chosen(kind: str, key: Any, names: tuple[str, ...]) -> list[int]:
-    """Numbers of the signals that a key means."""
-    if isinstance(key, slice):
-        return list(range(len(names))[key])
-    if isinstance(key, list | tuple | range | np.ndarray):
-        return [i for k in key for i in _chosen(kind, k, names)]
-    if isinstance(key, str):
-        if key not in names:
-            raise ModelError(f"there is no {kind} {key!r}; there are {', '.join(names)}")
-        return [names.index(key)]
-    i = as_whole(kind, key, f"a name or a number from 0 to {len(names) - 1}", least=-len(names), most=len(names) - 1)
-    return [i % len(names)]

@@ -1,0 +1,344 @@
+"""Every public function takes every form of a linear system, and answers wrong arguments with a typed error.
+
+The tables below name all public functions of `synth`: one that is missing from them fails the first test.
+"""
+
+from __future__ import annotations
+
+import inspect
+import itertools
+from collections.abc import Callable
+from fractions import Fraction
+from types import SimpleNamespace
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+import scipy.signal as signal
+
+import synth
+from synth.delivery.modelfiles import read
+from synth.errors import ExportError, ModelError, SynthError
+
+NUM, DEN, DT = [0.5, 1.0], [1.0, 0.4, 1.0], 0.5
+OMEGA = np.array([0.03, 0.4, 1.1, 2.5])
+
+
+def plant(dt: float) -> synth.StateSpace:
+    """(0.5 s + 1) / (s^2 + 0.4 s + 1), sampled with a hold where dt is not zero."""
+    G = synth.system(NUM, DEN)
+    return synth.c2d(G, dt) if dt else G
+
+
+def polynomials(dt: float) -> tuple[np.ndarray, np.ndarray]:
+    tf = plant(dt).tf()
+    return np.asarray(tf.num[0][0]), np.asarray(tf.den[0][0])
+
+
+def nonlinear(dt: float) -> control.NonlinearIOSystem:
+    """Whose linearisation at rest is the plant."""
+    G = plant(dt)
+    return control.NonlinearIOSystem(
+        lambda t, x, u, params: G.A @ x + G.B @ u + np.sum(x**2) * x,
+        lambda t, x, u, params: G.C @ x + G.D @ u,
+        inputs=1, outputs=1, states=2, dt=dt,
+    )  # fmt: skip
+
+
+FORMS: dict[str, Callable[[float], Any]] = {
+    "StateSpace": plant,
+    "control.StateSpace": lambda dt: plant(dt).to_control(),
+    "control.TransferFunction": lambda dt: control.tf(*polynomials(dt), dt),
+    "control.zpk": lambda dt: control.zpk(*signal.tf2zpk(*polynomials(dt)), dt=dt),
+    "nonlinear system of control": nonlinear,
+    "scipy StateSpace": lambda dt: signal.StateSpace(*plant(dt).matrices, **({"dt": dt} if dt else {})),
+    "scipy TransferFunction": lambda dt: signal.TransferFunction(*polynomials(dt), **({"dt": dt} if dt else {})),
+    "scipy ZerosPolesGain": lambda dt: signal.ZerosPolesGain(
+        *signal.tf2zpk(*polynomials(dt)), **({"dt": dt} if dt else {})
+    ),
+    "harold State": lambda dt: SimpleNamespace(
+        **dict(zip("abcd", plant(dt).matrices, strict=True)), SamplingPeriod=dt or None
+    ),
+    "harold Transfer": lambda dt: SimpleNamespace(
+        num=polynomials(dt)[0][None], den=polynomials(dt)[1][None], SamplingPeriod=dt or None
+    ),
+    "(A, B, C, D, dt)": lambda dt: (*plant(dt).matrices, dt),
+    "lists, D = 0, vectors": lambda dt: (
+        plant(dt).A.tolist(), *(np.ravel(M).tolist() for M in plant(dt).matrices[1:3]), 0, dt
+    ),
+    "(num, den, dt)": lambda dt: (*(p.tolist() for p in polynomials(dt)), dt),
+    "(num, den, dt) in control's nesting": lambda dt: ([[polynomials(dt)[0]]], [[polynomials(dt)[1]]], dt),
+    "mapping of matrices": lambda dt: dict(zip("ABCD", plant(dt).matrices, strict=True)) | {"dt": dt},
+    "mapping of polynomials": lambda dt: dict(zip(("num", "den"), polynomials(dt), strict=True)) | {"dt": dt},
+    "mapping of roots": lambda dt: dict(zip(("zeros", "poles", "gain"), signal.tf2zpk(*polynomials(dt)), strict=True))
+    | {"dt": dt},
+    "LinearController": lambda dt: synth.LinearController(*plant(dt).matrices, dt=dt),
+}  # fmt: skip
+
+
+def response(G: Any) -> np.ndarray:
+    return synth.system(G).frequency_response(OMEGA)
+
+
+def gamma(design: synth.Design) -> float:
+    return design.verified_norm
+
+
+# function -> what it makes of one system at a timebase, as numbers that no coordinates change
+OF_A_SYSTEM: dict[str, Callable[[Any, float], Any]] = {
+    "accept": lambda G, dt: synth.accept(-0.3, synth.gang_of_four(G), dt=None if dt else 0.1).level,
+    "augw": lambda G, dt: response(synth.augw(G, 1.0, 0.1).system),
+    "c2d": lambda G, dt: response(synth.c2d(G, DT)) if not dt else 0.0,
+    "diskmargin": lambda G, dt: synth.diskmargin(G).alpha,
+    "dlqr": lambda G, dt: np.sort_complex(synth.dlqr(G, weights(G)[0], 2.0)[2]) if dt else 0.0,
+    "feedback": lambda G, dt: response(synth.feedback(G, 1)) + response(synth.feedback(G, G)),
+    "free_motion": lambda G, dt: synth.free_motion(G, np.zeros(2), dt=0.1, samples=3, held=np.ones((3, 1)))
+    if not dt else 0.0,
+    "fuel_mpc": lambda G, dt: synth.fuel_mpc(G, box=1.0, umax=1.0, horizon=3).step(
+        synth.fuel_mpc(G, box=1.0, umax=1.0, horizon=3).init(), np.zeros(2), np.zeros(1)
+    )[1] if dt and not synth.system(G).D.any() else 0.0,
+    "gang_of_four": lambda G, dt: response(synth.gang_of_four(G).system),
+    "gapmetric": lambda G, dt: np.array(synth.gapmetric(G, 2.0)),
+    "h2norm": lambda G, dt: synth.h2norm(G),
+    "hinfnorm": lambda G, dt: synth.hinfnorm(G)[0],
+    "hinfsyn": lambda G, dt: gamma(synth.hinfsyn(synth.augw(G, 1.0, 0.1).system.to_control(), 1, 1)),
+    "lft": lambda G, dt: response(synth.lft(synth.augw(plant(dt), 1.0, 0.1).system, G)),
+    "lqg": lambda G, dt: response(
+        synth.lqg(G, *(np.block([[M, np.zeros((2, 1))], [np.zeros((1, 2)), 1.0]]) for M in weights(G)))
+    ),
+    "lqr": lambda G, dt: np.sort_complex(synth.lqr(G, weights(G)[0], 2.0)[2]),
+    "lqrd": lambda G, dt: np.sort_complex(synth.lqrd(G, weights(G)[0], 2.0, DT)[2])
+    if not dt else 0.0,
+    "margin": lambda G, dt: [getattr(synth.margin(G), k) for k in ("gain_up", "gain_down", "phase", "delay")],
+    "margins": lambda G, dt: synth.margins(G, 0.3).disk,
+    "minimum_fuel": lambda G, dt: synth.minimum_fuel(G, [[2.0], [2.0], [2.0]], 1.0, dt=0.5).upper if not dt else 0.0,
+    "mixsyn": lambda G, dt: gamma(synth.mixsyn(G, 1.0, 0.1)),
+    "ncfmargin": lambda G, dt: synth.ncfmargin(G, 0.3),
+    "ncfsyn": lambda G, dt: gamma(synth.ncfsyn(G)),
+    "series": lambda G, dt: response(synth.series(G, G)) + response(synth.series(G, 2.0)),
+    "system": lambda G, dt: response(G),
+    "verify": lambda G, dt: synth.verify(G).norm,
+}  # fmt: skip
+OF_ANOTHER_SYSTEM = {"export", "mpc"}  # tested below
+WITHOUT_A_SYSTEM = {
+    "care", "dare", "proportional_derivative", "quaternion_lqr", "quaternion_pd", "quaternion_pid", "read_study",
+    "state_feedback",
+}  # fmt: skip
+PICTURES = {"bode", "impulse", "nichols", "nyquist", "pzmap", "sigma", "step"}  # tests/synth/delivery
+
+
+def weights(G: Any) -> tuple[np.ndarray, np.ndarray]:
+    H = synth.system(G)
+    return H.C.T @ H.C, H.B @ H.B.T
+
+
+def functions() -> set[str]:
+    return {name for name in synth.__all__ if inspect.isfunction(getattr(synth, name))}
+
+
+def test_the_tables_name_every_public_function():
+    assert functions() == {*OF_A_SYSTEM, *OF_ANOTHER_SYSTEM, *WITHOUT_A_SYSTEM, *PICTURES}
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("dt", [0.0, DT])
+def test_every_form_is_the_same_system(form, dt):
+    np.testing.assert_allclose(response(FORMS[form](dt)), response(plant(dt)), rtol=1e-8)
+    assert synth.system(FORMS[form](dt)).dt == dt
+
+
+@pytest.mark.parametrize("dt", [0.0, DT])
+@pytest.mark.parametrize("function", sorted(OF_A_SYSTEM))
+def test_every_function_takes_every_form(function, dt):
+    expected = OF_A_SYSTEM[function](plant(dt), dt)
+    for name, form in FORMS.items():
+        found = OF_A_SYSTEM[function](form(dt), dt)
+        np.testing.assert_allclose(found, expected, rtol=2e-3, atol=1e-9, err_msg=name)  # 1e-3 is a design's tolerance
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_controllers_of_every_form_leave_as_the_same_file(form, tmp_path):
+    synth.export(FORMS[form](DT), "json", tmp_path, name="found")
+    synth.export(plant(DT), "json", tmp_path, name="expected")
+    found, expected = (read(tmp_path / f"{name}.json").system for name in ("found", "expected"))
+    np.testing.assert_allclose(response(found), response(expected), rtol=1e-8)
+
+
+STATES = synth.c2d(synth.system([[0, 1], [0, 0]], [0, 1], np.eye(2), 0), DT)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [STATES.to_control(), (*STATES.matrices, DT), signal.StateSpace(*STATES.matrices, dt=DT), STATES],
+    ids=["control", "tuple", "scipy", "StateSpace"],
+)
+def test_mpc_takes_models_of_every_form_that_has_a_state(model):
+    controller = synth.mpc(model, Q=[1.0, 0.1], R=1.0, Np=5, Nc=3, umin=-1.0, umax=1.0)
+    _, u = controller.step(controller.init(), np.array([1.0, 0.0]), np.zeros(2))
+    reference = synth.mpc(STATES, Q=np.diag([1.0, 0.1]), R=[[1.0]], Np=5, Nc=3, umin=-1.0, umax=1.0)
+    np.testing.assert_allclose(u, reference.step(reference.init(), np.array([1.0, 0.0]), np.zeros(2))[1], rtol=1e-9)
+
+
+class Unshowable:
+    """An object that raises whatever is asked of it."""
+
+    def __repr__(self) -> str:
+        raise RuntimeError("no")
+
+    def __float__(self) -> float:
+        raise RuntimeError("no")
+
+    def __array__(self, *arguments: Any, **options: Any) -> np.ndarray:
+        raise RuntimeError("no")
+
+    def __len__(self) -> int:
+        raise RuntimeError("no")
+
+
+WRONG: dict[str, Any] = {
+    "None": None,
+    "text": "G(s)",
+    "number in text": "1.5",
+    "empty text": "",
+    "bytes": b"1",
+    "True": True,
+    "nan": np.nan,
+    "inf": np.inf,
+    "-inf": -np.inf,
+    "zero": 0,
+    "negative": -3.0,
+    "huge integer": 10**400,
+    "complex": 1 + 2j,
+    "fraction": Fraction(1, 3),
+    "empty list": [],
+    "empty tuple": (),
+    "empty dict": {},
+    "set": {1, 2},
+    "ragged rows": [[1, 2], [3]],
+    "rows of text": [["a", "b"]],
+    "rows of None": [[None, 1.0]],
+    "three dimensions": np.ones((2, 2, 2)),
+    "7 x 5": np.ones((7, 5)),
+    "vector of eleven": np.arange(11.0),
+    "matrix with nan": np.array([[1.0, np.nan], [0.0, 1.0]]),
+    "complex matrix": np.array([[1j, 0], [0, 1]]),
+    "masked": np.ma.masked_array([1.0, 2.0], mask=[True, False]),
+    "dates": np.array(["2026-01-01"], dtype="datetime64[D]"),
+    "objects": np.array([object()]),
+    "object": object(),
+    "unshowable": Unshowable(),
+    "type": int,
+    "function": len,
+    "generator": (i for i in range(3)),
+    "six entries": (1, 2, 3, 4, 5, 6),
+    "measured response": control.frd([1.0, 2.0, 3.0], [0.1, 0.2, 0.3]),
+    "improper": control.tf([1, 0, 0], [1, 1]),
+    "no timebase": control.ss([[0.5]], [[1]], [[1]], [[0]], True),
+    "SLICOT's five": (np.eye(2), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)), np.ones(4)),
+    "unknown key": {"numerator": [1], "den": [1, 1]},
+    "zero denominator": ([1.0], [0.0]),
+}
+I, Z = np.eye(2), np.zeros((2, 2))
+CONTINUOUS, SAMPLED = plant(0.0), plant(DT)
+WEIGHTED = synth.augw(CONTINUOUS, 1.0, 0.1)
+STRICT = synth.system([1.0], DEN)
+
+# function -> a call that works, by parameter
+RIGHT: dict[str, dict[str, Any]] = {
+    "accept": {"design": synth.system(-0.3), "plant": synth.gang_of_four(CONTINUOUS), "dt": 0.1, "umin": -1.0,
+               "umax": 1.0, "antiwindup": None, "overload": 2.0, "requirements": None},
+    "augw": {"G": CONTINUOUS, "W1": 1.0, "W2": 0.1, "W3": 0.2},
+    "c2d": {"G": CONTINUOUS, "dt": 0.1, "method": "zoh"},
+    "care": {"A": Z, "B": I, "Q": I, "R": I},
+    "dare": {"A": Z, "B": I, "Q": I, "R": I},
+    "diskmargin": {"L": CONTINUOUS, "sign": -1},
+    "dlqr": {"A": 0.5 * I, "B": I, "Q": I, "R": 1.0, "N": None},
+    "export": {"design": SAMPLED, "format": "json", "folder": "out", "name": "name", "force": True,
+               "allow_unstable": False, "umin": None, "umax": None, "antiwindup": None, "dtype": "double",
+               "self_test": True},
+    "feedback": {"G": CONTINUOUS, "K": 0.3, "sign": -1},
+    "free_motion": {"G": CONTINUOUS, "x0": [1.0, 0.0], "dt": 0.1, "samples": 3, "held": None},
+    "fuel_mpc": {"model": synth.c2d(STRICT, DT), "box": 1.0, "umax": 1.0, "horizon": 3, "settle": 0, "forecast": None,
+                 "penalty": 100.0},
+    "gang_of_four": {"G": CONTINUOUS},
+    "gapmetric": {"G1": CONTINUOUS, "G2": CONTINUOUS},
+    "h2norm": {"system": STRICT},
+    "hinfnorm": {"system": CONTINUOUS, "tol": 1e-9},
+    "hinfsyn": {"P": WEIGHTED.system, "nmeas": 1, "ncon": 1, "method": "riccati", "gamma": None, "ncont": 1},
+    "lft": {"P": WEIGHTED.system, "K": CONTINUOUS, "nmeas": 1, "ncon": 1},
+    "lqg": {"G": CONTINUOUS, "QXU": np.eye(3), "QWV": np.eye(3)},
+    "lqr": {"A": Z, "B": I, "Q": I, "R": 1.0, "N": None},
+    "lqrd": {"A": Z, "B": I, "Q": I, "R": 1.0, "dt": 0.1},
+    "margin": {"L": CONTINUOUS, "sign": -1},
+    "margins": {"P": CONTINUOUS, "K": 0.3, "sign": -1},
+    "minimum_fuel": {"G": STRICT, "free": [[2.0]] * 3, "box": 1.0, "dt": 0.5, "settle": 1},
+    "mixsyn": {"G": CONTINUOUS, "W1": 1.0, "W2": 0.1, "W3": None, "shift": 0.0, "method": "riccati", "gamma": None},
+    "mpc": {"model": STATES, "Q": 1.0, "R": 1.0, "Np": 4, "Nc": 2, "umin": -1.0, "umax": 1.0, "form": "velocity",
+            "terminal": None, "ymin": None, "ymax": None, "hmax": None, "delay": 0, "penalty": 10.0},
+    "ncfmargin": {"P": CONTINUOUS, "K": 0.3, "sign": -1},
+    "ncfsyn": {"G": CONTINUOUS, "W1": 1.0, "W2": 1.0, "gamma_factor": 1.1, "gamma": None, "method": "riccati"},
+    "proportional_derivative": {"inertia": [1.0, 2.0, 3.0], "wn": 0.1, "zeta": 0.7, "dt": 0.1},
+    "quaternion_lqr": {"inertia": np.eye(3), "dt": 0.1, "Q": None, "R": None},
+    "quaternion_pd": {"inertia": np.eye(3), "wn": 0.1, "zeta": 0.7, "dt": 0.1},
+    "quaternion_pid": {"inertia": np.eye(3), "wn": 0.1, "zeta": 0.7, "dt": 0.1, "integral_time": 100.0,
+                       "zone_deg": 5.0},
+    "read_study": {"path": "nothing.toml"},
+    "series": {"G": CONTINUOUS, "H": CONTINUOUS},
+    "state_feedback": {"K": np.ones((1, 2)), "dt": 0.1},
+    "system": {"dt": 0.0, "u": ("u",), "y": ("y",), "units": None},
+    "verify": {"system": CONTINUOUS},
+}  # fmt: skip
+
+POSITIONAL = {"dlqr", "lqr", "lqrd", "system"}  # whose parameters are not in their signature
+
+
+# parameters that a message calls by another word
+IMPLIED = {
+    "accept": ("design",),  # the controller
+    "export": ("design",),
+    "hinfnorm": ("system",),
+    "read_study": ("path",),  # the file
+}
+
+
+def refusal(call: Callable[[], Any], what: str) -> str | None:
+    """What is said of wrong arguments; None where the call works, or is refused for what the plant is."""
+    try:
+        call()
+    except (ModelError, ExportError) as error:
+        return str(error)
+    except SynthError:
+        return None
+    except Exception as error:
+        raise AssertionError(f"{what} ended in a bare {type(error).__name__}: {error}") from error
+    return None
+
+
+SLOW = {"accept"}  # more than three seconds
+FUNCTIONS = [pytest.param(f, marks=pytest.mark.slow) if f in SLOW else f for f in sorted(RIGHT)]
+
+
+@pytest.mark.parametrize("function", FUNCTIONS)
+def test_wrong_arguments_are_named(function, tmp_path, monkeypatch):
+    """Every wrong value for every parameter in turn: it is taken, or refused by an error that names the parameter."""
+    monkeypatch.chdir(tmp_path)
+    f, right = getattr(synth, function), RIGHT[function]
+    first = ([1.0], [1.0, 1.0]) if function == "system" else ()
+    for parameter, (wrong, value) in itertools.product(right, WRONG.items()):
+        text = refusal(lambda: f(*first, **{**right, parameter: value}), f"{parameter} = {wrong}")  # noqa: B023
+        if text is not None:
+            assert len(text) >= 20, (parameter, wrong, text)
+            assert parameter in text or parameter in IMPLIED.get(function, ()), (parameter, wrong, text)
+
+
+def test_the_right_calls_work(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert set(RIGHT) == {*OF_A_SYSTEM, *OF_ANOTHER_SYSTEM, *WITHOUT_A_SYSTEM}
+    for function, right in RIGHT.items():
+        if function == "read_study":
+            continue
+        first = ([1.0], [1.0, 1.0]) if function == "system" else ()
+        getattr(synth, function)(*first, **right)
+        if function not in POSITIONAL:
+            assert set(right) == set(inspect.signature(getattr(synth, function)).parameters), function
