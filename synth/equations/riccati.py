@@ -13,9 +13,8 @@ Inside, lanes come last: a batch of (n, n) matrices is (n, n, b), so that every 
 finds its way here by a batching rule of its own. What can be is eliminated without pivots: I + G H becomes positive
 definite by a Cholesky factor of H. Failure is a value, `ok`. Needs JAX and float64.
 
-References: Chu, Fan and Lin (2005), A structure-preserving doubling algorithm for continuous-time algebraic Riccati
-equations, Linear Algebra and its Applications 396; Kleinman (1968), IEEE TAC 13, 114; Smith (1968), Matrix equation
-XA + BX = C, SIAM J. Applied Math. 16.
+References: Chu, Fan and Lin (2005), Linear Algebra and its Applications 396, 55 (structure-preserving doubling);
+Kleinman (1968), IEEE TAC 13, 114; Smith (1968), SIAM J. Applied Math. 16, 198 (X A + B X = C).
 """
 
 from __future__ import annotations
@@ -389,7 +388,7 @@ def _checked(A, B, Q, R):
 
 
 def _flat(solve, A, *operands) -> Solution:
-    """`solve` for all leading axes at once, under float64, as NumPy arrays."""
+    """`solve` for all leading axes at once, under float64."""
     lead, n = A.shape[:-2], A.shape[-1]
     flat = [np.reshape(a, (-1, *a.shape[len(lead) :])) for a in (A, *operands)]
     count, out = len(flat[0]), []

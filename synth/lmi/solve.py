@@ -8,7 +8,6 @@ from typing import Any
 
 import cvxpy as cp
 import numpy as np
-from cvxpy.error import SolverError
 
 from synth.errors import NumericalError
 
@@ -43,17 +42,29 @@ def solve(objective: Any, lmis: Sequence[cp.Expression], *, tol: float = TOLERAN
     NumericalError : the solver ended without a point; `statuses` says how.
     """
     problem = cp.Problem(cp.Minimize(objective), [M >> 0 for M in lmis])
-    settings = {"tol_gap_abs": tol, "tol_gap_rel": tol, "tol_feas": tol}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            problem.solve(solver=cp.CLARABEL, **settings)
-        except SolverError as error:
-            raise NumericalError(f"Clarabel stopped: {error}", {"clarabel": str(error)}) from None
-    status = str(problem.status)
+    status = run(problem, "Clarabel", tol_gap_abs=tol, tol_gap_rel=tol, tol_feas=tol)
     if status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
         raise NumericalError(f"Clarabel ended with status {status!r}", {"clarabel": status})
     return status
+
+
+def run(problem: cp.Problem, solver: str, **settings: Any) -> str:
+    """Solve a problem and return the solver's status, whatever it is.
+
+    Raises
+    ------
+    NumericalError : the solver broke down; its advice, meant for those who pose problems, is in `statuses`.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            problem.solve(solver=solver.upper(), **settings)
+        except (KeyboardInterrupt, SystemExit):
+            raise
+        except BaseException as error:  # CVXPY's SolverError and ValueError; a panic of Clarabel is no Exception
+            statuses = {solver.lower(): f"{type(error).__name__}: {error}"}
+            raise NumericalError(f"{solver} broke down without a solution", statuses) from None
+    return str(problem.status)
 
 
 def value(unknown: cp.Variable) -> np.ndarray:

@@ -222,6 +222,8 @@ def minimum_fuel(G: Any, free: Any, box: Any, *, dt: float, settle: int = 1) -> 
     """
     import cvxpy as cp
 
+    from synth.lmi.solve import run
+
     G = as_system("G", G)
     if G.discrete or G.D.any():
         raise ModelError(f"G has dt = {G.dt} and |D| = {np.abs(G.D).max():g}; pass a continuous system without D")
@@ -241,8 +243,7 @@ def minimum_fuel(G: Any, free: Any, box: Any, *, dt: float, settle: int = 1) -> 
     y = rest + (moves[(settle - 1) * q :] / scale[:, None]) @ v
     sides: list[Any] = [y <= 1, -y <= 1]
     problem = cp.Problem(cp.Minimize(cp.norm1(v)), sides)
-    problem.solve(solver="HIGHS")
-    if problem.status != "optimal" or v.value is None:
+    if run(problem, "HiGHS") != "optimal" or v.value is None:
         raise NumericalError(f"HiGHS ended with {problem.status!r}", {"highs": problem.status})
     multipliers = sides[0].dual_value - sides[1].dual_value
     peak = primer_peak(G, (multipliers / scale).reshape(-1, q), dt / REFINED, settle)

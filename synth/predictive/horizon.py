@@ -92,8 +92,10 @@ class PosedProblem:
         ------
         NumericalError : Clarabel reports anything but an optimum.
         """
+        from synth.lmi.solve import run
+
         self.phi.value = phi
-        self.problem.solve(solver="CLARABEL", **CLARABEL_SETTINGS)
+        run(self.problem, "Clarabel", **CLARABEL_SETTINGS)
         parts = [v.value for v in self.variables]
         if self.problem.status != "optimal" or any(p is None for p in parts):
             raise NumericalError(f"Clarabel ended with {self.problem.status!r}", {"clarabel": self.problem.status})

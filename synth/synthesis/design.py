@@ -106,6 +106,13 @@ class Design:
         """K, CL, gamma, info."""
         return iter((self.K, self.CL, self.gamma, self.info))
 
+    def __len__(self) -> int:
+        return 4
+
+    def __getitem__(self, i: int) -> Any:
+        """K, CL, gamma, info by their number."""
+        return tuple(self)[i]
+
     def __repr__(self) -> str:
         n, nu, ny = self.plant.sizes[0], self.controller.ny, self.controller.nu
         dt = f"dt = {self.plant.dt:g} s" if self.plant.dt else "continuous"

@@ -78,3 +78,10 @@ def test_matlab_file_holds_controller_plant_and_names(design, tmp_path):
     assert found.dt == 0.5
     assert list(found.names.u) == list(design.plant.u)
     assert found.plant_sha256 == design.plant.system.digest()
+
+
+def test_a_design_unpacks_and_counts_like_the_tuple_it_stands_for(design):
+    _, _, gamma, info = design
+    assert len(design) == 4
+    assert (design[2], design[3]) == (gamma, info)
+    assert design[-1] is info
