@@ -21,11 +21,10 @@ RESERVED = frozenset(
     "protected public register reinterpret_cast restrict return short signed sizeof static static_assert static_cast "
     "struct switch template this thread_local throw true try typedef typeid typename union unsigned using virtual "
     "void volatile wchar_t while xor xor_eq main "
-    # headers of the standard library and of FMI, which a file of the same name would hide
+    # headers of the standard library and of the units, which a file of the same name would hide
     "assert complex ctype errno fenv inttypes iso646 limits locale math setjmp signal stdalign stdarg stdatomic "
     "stdbool stddef stdint stdio stdlib stdnoreturn string tgmath threads time uchar wchar wctype "
-    "model instance fmi2 fmi2functions fmi2functiontypes fmi2typesplatform "
-    "fmi3 fmi3functions fmi3functiontypes fmi3platformtypes".split()
+    "model instance fmi2 fmi3 types2 types3".split()
 )
 
 

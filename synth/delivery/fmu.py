@@ -32,10 +32,6 @@ from synth.errors import ExportError
 from synth.regulators.sequential import SequentialController
 
 PACKAGE = resources.files("synth.delivery") / "fmi"
-HEADERS = {
-    2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
-    3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
-}
 PLATFORMS = {  # system and machine -> ending of the binary, its folder in each version of the standard
     ("Linux", "x86_64"): (".so", {2: "linux64", 3: "x86_64-linux"}),
     ("Linux", "aarch64"): (".so", {3: "aarch64-linux"}),
@@ -62,15 +58,20 @@ def fmu_bytes(controller: SequentialController, origin: Origin, name: str, *, ve
     content = {f"sources/{file}": text for file, text in files.items()}
     content[f"binaries/{folder}/{name}{ending}"] = _compile(files, name, version)
     content["modelDescription.xml"] = description(controller, origin, name, token, version=version)
-    content["documentation/licenses/fmi-headers.txt"] = (PACKAGE / "include" / "LICENSE").read_bytes()
+    content["documentation/licenses/license.txt"] = _license()
     return _archive(content)
 
 
+def _license() -> bytes:
+    """The licence of the sources, which is that of this package."""
+    text = metadata.distribution("convex-synth").read_text("licenses/LICENSE")
+    return (text or "BSD-3-Clause, as convex-synth").encode()
+
+
 def sources(controller: SequentialController, origin: Origin, name: str, *, version: int) -> dict[str, bytes]:
-    """The controller's C, the wrapper and the headers of the standard; model.h, which joins them, is still missing."""
+    """The controller's C, the wrapper and its types; model.h, which joins them, is still missing."""
     files = c_files(controller, origin, name, self_test=False)
-    files |= {file: (PACKAGE / file).read_bytes() for file in (f"fmi{version}.c", "instance.h")}
-    files |= {file: (PACKAGE / "include" / file).read_bytes() for file in HEADERS[version]}
+    files |= {file: (PACKAGE / file).read_bytes() for file in (f"fmi{version}.c", "instance.h", f"types{version}.h")}
     if version == 3:
         root = Element("fmiBuildDescription", fmiVersion="3.0")
         build = SubElement(

@@ -1,6 +1,6 @@
 /* A sampled controller as an FMI 2.0 co-simulation unit; see instance.h. */
-#include "fmi2Functions.h"
 #include "instance.h"
+#include "types2.h"
 
 typedef struct {
     controller_data data;
@@ -19,6 +19,8 @@ static fmi2Status report(const instance *self, const char *problem)
     }
     return fmi2Error;
 }
+
+#pragma GCC visibility push(default) /* what follows is what a simulator calls */
 
 const char *fmi2GetTypesPlatform(void)
 {

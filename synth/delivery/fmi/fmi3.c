@@ -1,6 +1,6 @@
 /* A sampled controller as an FMI 3.0 co-simulation unit; see instance.h. */
-#include "fmi3Functions.h"
 #include "instance.h"
+#include "types3.h"
 
 typedef struct {
     controller_data data;
@@ -18,6 +18,8 @@ static fmi3Status report(const instance *self, const char *problem)
     }
     return fmi3Error;
 }
+
+#pragma GCC visibility push(default) /* what follows is what a simulator calls */
 
 const char *fmi3GetVersion(void)
 {

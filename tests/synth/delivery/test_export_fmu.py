@@ -229,7 +229,7 @@ def test_sources_are_complete_clean_and_licensed(design, tmp_path, version):
     description = (tmp_path / "unit" / "modelDescription.xml").read_text()
     assert design.plant.system.digest() in description
     assert repr(design.verified_norm) in description
-    assert "BSD" in (tmp_path / "unit" / "documentation" / "licenses" / "fmi-headers.txt").read_text()
+    assert "BSD" in (tmp_path / "unit" / "documentation" / "licenses" / "license.txt").read_text()
     for private in (str(tmp_path), str(Path.home()), tempfile.gettempdir()):
         assert private.encode() not in everything
 
