@@ -11,7 +11,7 @@ OUT    ?= out/cubesat3u
 .PHONY: demo test check clean
 
 demo: $(VENV)/run.stamp
-	$(BIN)/python examples/cubesat3u.py --out $(OUT)
+	$(BIN)/python examples/cubesat3u/cubesat3u.py --out $(OUT)
 
 test: $(VENV)/dev.stamp
 	$(BIN)/python -m pytest -n 2 --dist loadfile

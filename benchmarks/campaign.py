@@ -18,12 +18,11 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples" / "amazonia1"))
 
 import amazonia1 as study
 
-from plants.missions import amazonia1
-from plants.simulation import campaign
+from plants import amazonia1, campaign
 
 
 def case(start: Any, shared: Any) -> Any:
@@ -39,7 +38,7 @@ def monte_carlo(name: str, runs: int, workers: int) -> dict[str, float]:
 
     def fly(duration: float) -> tuple[float, float]:
         wall, cpu = time.perf_counter(), time.process_time()
-        campaign.campaign(
+        campaign(
             study.case, drawn, shared._replace(duration=duration), measure=study.measure, batch=batch,
             workers=workers, progress=False,
         )  # fmt: skip
@@ -59,7 +58,7 @@ def memory(runs: int) -> dict[str, float]:
     shared = study.Shared(study.controllers()[study.LQR], 90.0)
     widths: list[int] = []
     wall = time.perf_counter()
-    flown = campaign.campaign(
+    flown = campaign(
         case, amazonia1.starts(amazonia1.region(runs)), shared, measure=study.measure, read=amazonia1.applied,
         progress=False, on_batch=widths.append,
     )  # fmt: skip

@@ -22,9 +22,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from literature import cubesat_pecorilla2024, mass_spring_chain
 
+from synth import hinfsyn
 from synth.proof.certify import BITS, MARGINS, certify
 from synth.proof.witnesses import find_lower, find_upper
-from synth.synthesis.hinfinity import hinfsyn
 
 
 def seconds(call, repeats: int) -> float:

@@ -22,7 +22,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from literature import cubesat_model
 
-from synth.predictive.horizon import Mpc, MpcState, mpc
+from synth import Mpc, mpc
+from synth.predictive.horizon import MpcState
 
 TORQUE, MOMENTUM, RATE = 1e-3, 10.8e-3, np.radians(2)  # N m, N m s, rad/s
 REST = np.zeros(6)

@@ -24,11 +24,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from literature import cubesat_pecorilla2024, mass_spring_chain
 
-from synth.analysis.norms import hinfnorm, verify
+from synth import GeneralizedPlant, StateSpace, hinfnorm, verify
 from synth.analysis.precondition import precondition
 from synth.synthesis.hinf_riccati import RiccatiRoute
-from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace
 
 
 def design(P: GeneralizedPlant) -> tuple[list[float], float, float]:

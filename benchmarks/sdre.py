@@ -25,9 +25,8 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.linalg as sla
 
+from synth import MrpModel, Sdre
 from synth.equations.riccati import continued, stabilising, stabilising_pair
-from synth.regulators.sdc import MrpModel
-from synth.regulators.sdre import Sdre
 
 INERTIA = np.array([[310, 1.11, 1.01], [1.11, 360, -0.35], [1.01, -0.35, 530.7]]) - 0.01911 * np.eye(3)  # kg m^2
 TORQUE, DT = 0.075, 0.05  # N m, s

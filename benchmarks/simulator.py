@@ -13,10 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from plants.missions import cubesat3u
-from plants.outcome import indices
-from plants.simulation import campaign
-from plants.simulation.simulate import Loop, Scenario, simulate
+from plants import campaign, cubesat3u, draw, indices, replay_case, simulate
+from plants.simulation.simulate import Loop, Scenario
 
 
 @dataclass(frozen=True)
@@ -85,17 +83,17 @@ def main() -> None:
             environment=surroundings,
         )
 
-    drawn = campaign.draw(cubesat3u.disperse, args.runs, 0)
+    drawn = draw(cubesat3u.disperse, args.runs, 0)
     rows = [(f"{name}, compiled", nav, ProportionalDerivative(gain)) for name, nav in navigators.items()]
     rows.append(("sensors, EKF, stepped", navigators["sensors, EKF"], Untraceable(gain)))
     print(f"{'seconds':30}{'compile':>9}{'1 run':>8}{'cpu':>8}{'ratio':>7}{'compile':>10}{args.runs:>5} runs{'cpu':>7}")
     base = 0.0
     for name, navigator, controller in rows:
-        single = campaign.replay_case(case, drawn, 0, (navigator, controller))
+        single = replay_case(case, drawn, 0, (navigator, controller))
         one = clocked(lambda pair=single: simulate(*pair), args.repeats)
         many = clocked(
-            lambda shared=(navigator, controller): campaign.campaign(
-                case, drawn, shared, measure=lambda run: indices.indices(run, start=0.3 * args.seconds), progress=False
+            lambda shared=(navigator, controller): campaign(
+                case, drawn, shared, measure=lambda run: indices(run, start=0.3 * args.seconds), progress=False
             ),
             args.repeats,
         )

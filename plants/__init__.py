@@ -1,0 +1,232 @@
+"""Nonlinear worlds, their sensors and estimators, and the one simulator that flies them.
+
+    geometry       rotations: `attitude`
+    surroundings   `Orbit`, `CircularEnvironment` (field, Sun, eclipse, air), disturbance torques
+    dynamics       `RigidBody`, `EulerBody`, `Station` (relative motion)
+    hardware       `ReactionWheels`, `Thrusters`, `SunSensor`, `Magnetometer`, `Gyro`, ...
+    estimation     `ekf`, `svd_navigator`, `kalman`, `station_ekf`
+    simulation     `Loop` and `Scenario` go into `simulate`, `simulate_many`, `campaign`, `linearize`; out comes a `Run`
+    outcome        `indices`, `settling_time`, `run_plot`, `campaign_plot`; `report` and `study` make pages
+    missions       `cubesat3u`, `amazonia1`, `airbearing`, `geo`: the numbers of the studies
+
+The names below are imported when they are first used, so that ``import plants`` costs nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from plants.dynamics.eulerbody import EulerBody as EulerBody
+    from plants.dynamics.eulerbody import EulerState as EulerState
+    from plants.dynamics.eulerbody import RandomTorque as RandomTorque
+    from plants.dynamics.eulerbody import TorqueEnv as TorqueEnv
+    from plants.dynamics.relative import Sky as Sky
+    from plants.dynamics.relative import Station as Station
+    from plants.dynamics.relative import StationState as StationState
+    from plants.dynamics.rigidbody import BodyState as BodyState
+    from plants.dynamics.rigidbody import RigidBody as RigidBody
+    from plants.dynamics.rigidbody import state_from as state_from
+    from plants.errors import PlantError as PlantError
+    from plants.errors import ScenarioError as ScenarioError
+    from plants.errors import SingularityError as SingularityError
+    from plants.estimation.kalman import Kalman as Kalman
+    from plants.estimation.kalman import RawAngles as RawAngles
+    from plants.estimation.kalman import kalman as kalman
+    from plants.estimation.navigation import Ekf as Ekf
+    from plants.estimation.navigation import Smoothing as Smoothing
+    from plants.estimation.navigation import SvdNavigator as SvdNavigator
+    from plants.estimation.navigation import ekf as ekf
+    from plants.estimation.navigation import svd_navigator as svd_navigator
+    from plants.estimation.tracking import Observability as Observability
+    from plants.estimation.tracking import StateSensor as StateSensor
+    from plants.estimation.tracking import StationEkf as StationEkf
+    from plants.estimation.tracking import Unfiltered as Unfiltered
+    from plants.estimation.tracking import observability as observability
+    from plants.estimation.tracking import station_ekf as station_ekf
+    from plants.geometry import attitude as attitude
+    from plants.hardware.actuators import ReactionWheels as ReactionWheels
+    from plants.hardware.sensors import AngleRate as AngleRate
+    from plants.hardware.sensors import AngleRateSuite as AngleRateSuite
+    from plants.hardware.sensors import AttitudeSuite as AttitudeSuite
+    from plants.hardware.sensors import Gyro as Gyro
+    from plants.hardware.sensors import Magnetometer as Magnetometer
+    from plants.hardware.sensors import SunSensor as SunSensor
+    from plants.hardware.sensors import attitude_suite as attitude_suite
+    from plants.hardware.thrusters import PulsedThrusters as PulsedThrusters
+    from plants.hardware.thrusters import Thrusters as Thrusters
+    from plants.missions import airbearing as airbearing
+    from plants.missions import amazonia1 as amazonia1
+    from plants.missions import cubesat3u as cubesat3u
+    from plants.missions import geo as geo
+    from plants.outcome import figures as figures
+    from plants.outcome import report as report
+    from plants.outcome import study as study
+    from plants.outcome.indices import Errors as Errors
+    from plants.outcome.indices import Indices as Indices
+    from plants.outcome.indices import clopper_pearson as clopper_pearson
+    from plants.outcome.indices import indices as indices
+    from plants.outcome.indices import pointing_errors as pointing_errors
+    from plants.outcome.indices import settling_time as settling_time
+    from plants.outcome.indices import stability as stability
+    from plants.outcome.indices import step_response as step_response
+    from plants.outcome.plots import campaign_plot as campaign_plot
+    from plants.outcome.plots import run_plot as run_plot
+    from plants.outcome.report import Card as Card
+    from plants.outcome.report import Claim as Claim
+    from plants.outcome.report import Requirement as Requirement
+    from plants.outcome.report import Section as Section
+    from plants.outcome.study import Statement as Statement
+    from plants.outcome.study import Table as Table
+    from plants.outcome.study import Verdict as Verdict
+    from plants.outcome.study import campaigns as campaigns
+    from plants.outcome.study import drawings as drawings
+    from plants.outcome.study import either as either
+    from plants.simulation import blocks as blocks
+    from plants.simulation.campaign import Campaign as Campaign
+    from plants.simulation.campaign import campaign as campaign
+    from plants.simulation.campaign import draw as draw
+    from plants.simulation.campaign import replay_case as replay_case
+    from plants.simulation.linearize import LinearModel as LinearModel
+    from plants.simulation.linearize import linearize as linearize
+    from plants.simulation.loop import Actuator as Actuator
+    from plants.simulation.loop import Controller as Controller
+    from plants.simulation.loop import Loop as Loop
+    from plants.simulation.loop import Navigator as Navigator
+    from plants.simulation.loop import Plant as Plant
+    from plants.simulation.loop import Run as Run
+    from plants.simulation.loop import Scenario as Scenario
+    from plants.simulation.loop import Sensors as Sensors
+    from plants.simulation.simulate import can_compile as can_compile
+    from plants.simulation.simulate import simulate as simulate
+    from plants.simulation.simulate import simulate_many as simulate_many
+    from plants.surroundings.disturbances import ConstantTorque as ConstantTorque
+    from plants.surroundings.disturbances import Disturbance as Disturbance
+    from plants.surroundings.disturbances import Drag as Drag
+    from plants.surroundings.disturbances import GravityGradient as GravityGradient
+    from plants.surroundings.disturbances import ResidualDipole as ResidualDipole
+    from plants.surroundings.disturbances import SolarPressure as SolarPressure
+    from plants.surroundings.environment import Atmosphere as Atmosphere
+    from plants.surroundings.environment import CircularEnvironment as CircularEnvironment
+    from plants.surroundings.environment import Environment as Environment
+    from plants.surroundings.environment import FreeSpace as FreeSpace
+    from plants.surroundings.environment import OrbitEnv as OrbitEnv
+    from plants.surroundings.orbit import Orbit as Orbit
+    from plants.surroundings.orbit import circular as circular
+
+_HOME = {  # of a name; modules are their own home
+    "Actuator": "simulation.loop",
+    "AngleRate": "hardware.sensors",
+    "AngleRateSuite": "hardware.sensors",
+    "Atmosphere": "surroundings.environment",
+    "AttitudeSuite": "hardware.sensors",
+    "BodyState": "dynamics.rigidbody",
+    "Campaign": "simulation.campaign",
+    "Card": "outcome.report",
+    "CircularEnvironment": "surroundings.environment",
+    "Claim": "outcome.report",
+    "ConstantTorque": "surroundings.disturbances",
+    "Controller": "simulation.loop",
+    "Disturbance": "surroundings.disturbances",
+    "Drag": "surroundings.disturbances",
+    "Ekf": "estimation.navigation",
+    "Environment": "surroundings.environment",
+    "Errors": "outcome.indices",
+    "EulerBody": "dynamics.eulerbody",
+    "EulerState": "dynamics.eulerbody",
+    "FreeSpace": "surroundings.environment",
+    "GravityGradient": "surroundings.disturbances",
+    "Gyro": "hardware.sensors",
+    "Indices": "outcome.indices",
+    "Kalman": "estimation.kalman",
+    "LinearModel": "simulation.linearize",
+    "Loop": "simulation.loop",
+    "Magnetometer": "hardware.sensors",
+    "Navigator": "simulation.loop",
+    "Observability": "estimation.tracking",
+    "Orbit": "surroundings.orbit",
+    "OrbitEnv": "surroundings.environment",
+    "Plant": "simulation.loop",
+    "PlantError": "errors",
+    "PulsedThrusters": "hardware.thrusters",
+    "RandomTorque": "dynamics.eulerbody",
+    "RawAngles": "estimation.kalman",
+    "ReactionWheels": "hardware.actuators",
+    "Requirement": "outcome.report",
+    "ResidualDipole": "surroundings.disturbances",
+    "RigidBody": "dynamics.rigidbody",
+    "Run": "simulation.loop",
+    "Scenario": "simulation.loop",
+    "ScenarioError": "errors",
+    "Section": "outcome.report",
+    "Sensors": "simulation.loop",
+    "SingularityError": "errors",
+    "Sky": "dynamics.relative",
+    "Smoothing": "estimation.navigation",
+    "SolarPressure": "surroundings.disturbances",
+    "StateSensor": "estimation.tracking",
+    "Statement": "outcome.study",
+    "Station": "dynamics.relative",
+    "StationEkf": "estimation.tracking",
+    "StationState": "dynamics.relative",
+    "SunSensor": "hardware.sensors",
+    "SvdNavigator": "estimation.navigation",
+    "Table": "outcome.study",
+    "Thrusters": "hardware.thrusters",
+    "TorqueEnv": "dynamics.eulerbody",
+    "Unfiltered": "estimation.tracking",
+    "Verdict": "outcome.study",
+    "airbearing": "missions.airbearing",
+    "amazonia1": "missions.amazonia1",
+    "attitude": "geometry.attitude",
+    "attitude_suite": "hardware.sensors",
+    "blocks": "simulation.blocks",
+    "campaign": "simulation.campaign",
+    "campaign_plot": "outcome.plots",
+    "campaigns": "outcome.study",
+    "can_compile": "simulation.simulate",
+    "circular": "surroundings.orbit",
+    "clopper_pearson": "outcome.indices",
+    "cubesat3u": "missions.cubesat3u",
+    "draw": "simulation.campaign",
+    "drawings": "outcome.study",
+    "either": "outcome.study",
+    "ekf": "estimation.navigation",
+    "figures": "outcome.figures",
+    "geo": "missions.geo",
+    "indices": "outcome.indices",
+    "kalman": "estimation.kalman",
+    "linearize": "simulation.linearize",
+    "observability": "estimation.tracking",
+    "pointing_errors": "outcome.indices",
+    "replay_case": "simulation.campaign",
+    "report": "outcome.report",
+    "run_plot": "outcome.plots",
+    "settling_time": "outcome.indices",
+    "simulate": "simulation.simulate",
+    "simulate_many": "simulation.simulate",
+    "stability": "outcome.indices",
+    "state_from": "dynamics.rigidbody",
+    "station_ekf": "estimation.tracking",
+    "step_response": "outcome.indices",
+    "study": "outcome.study",
+    "svd_navigator": "estimation.navigation",
+}
+
+__all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str):
+    """Import a public name from its module."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'plants' has no attribute {name!r}")
+    home = importlib.import_module(f"plants.{_HOME[name]}")
+    value = home if _HOME[name].endswith(f".{name}") and name not in vars(home) else getattr(home, name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return [*globals(), *_HOME]

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from synth.errors import SynthError as SynthError
     from synth.errors import VerificationError as VerificationError
     from synth.predictive.fuel import FuelMpc as FuelMpc
+    from synth.predictive.fuel import MinimumFuel as MinimumFuel
     from synth.predictive.fuel import free_motion as free_motion
     from synth.predictive.fuel import fuel_mpc as fuel_mpc
     from synth.predictive.fuel import minimum_fuel as minimum_fuel
@@ -96,6 +97,7 @@ _HOME = {
     "Info": "synthesis.design",
     "LinearController": "regulators.controller",
     "Margins": "analysis.stabilitymargins",
+    "MinimumFuel": "predictive.fuel",
     "ModelError": "errors",
     "Mpc": "predictive.horizon",
     "MrpModel": "regulators.sdc",

@@ -140,7 +140,7 @@ class Errors(NamedTuple):
     angle: np.ndarray  # (N,) rad, of the whole rotation from desired to true
 
 
-def errors(run: Run) -> Errors:
+def pointing_errors(run: Run) -> Errors:
     """What the indices of a run are percentiles of."""
     with jax.enable_x64(True):
         return Errors(
@@ -225,7 +225,7 @@ def _levels(run: Run, start: float, delta_t: float, share: float, threshold: flo
         raise ScenarioError(
             f"delta_t = {delta_t} s: give a whole number of samples of {_period(run)} s, shorter than the run"
         )
-    ape, control_error, ake, angle = errors(run)
+    ape, control_error, ake, angle = pointing_errors(run)
     window = run.time >= start - 1e-9
     drift = stability(ape, round(lag))[window[round(lag) :]]
     levels = tuple(quantile(e, share) for e in (ape[window], control_error[window], ake[window], drift))

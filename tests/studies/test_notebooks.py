@@ -9,8 +9,8 @@ import matplotlib.pyplot as plt
 import nbformat
 import pytest
 
-NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.py"))
-NAMES = [path.stem for path in NOTEBOOKS]
+NOTEBOOKS = sorted((Path(__file__).parents[2] / "examples").glob("*/notebook.py"))
+NAMES = [path.parent.name for path in NOTEBOOKS]
 
 
 def run(source: str, names: dict) -> object:

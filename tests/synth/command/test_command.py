@@ -21,7 +21,7 @@ from synth.synthesis.loopshaping import ncfsyn
 from synth.systems.sampled import c2d
 from synth.systems.statespace import StateSpace
 
-STUDY = Path(__file__).parents[3] / "examples" / "cubesat3u.toml"
+STUDY = Path(__file__).parents[3] / "examples" / "cubesat3u" / "cubesat3u.toml"
 
 
 @pytest.fixture(scope="module")
@@ -199,7 +199,7 @@ def test_the_study_of_the_cubesat(synth, tmp_path):
 
 @pytest.mark.slow
 def test_the_study_of_the_cubesat_is_the_design_of_its_example():
-    """Names, units and matrices of examples/cubesat3u.py, from the TOML file beside it."""
+    """Names, units and matrices of examples/cubesat3u/cubesat3u.py, from the TOML file beside it."""
     from cubesat3u import design_controllers
 
     plant, example = read_study(STUDY).plant, design_controllers()[0].plant

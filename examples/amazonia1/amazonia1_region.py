@@ -16,12 +16,8 @@ import numpy as np
 from amazonia1 import LQR, MRP, ROW, SDRE, Shared, case, controllers, measure, share
 from matplotlib.figure import Figure
 
-from plants.missions import amazonia1
+from plants import Campaign, Statement, Table, Verdict, amazonia1, clopper_pearson, figures, report, simulate, study
 from plants.missions.amazonia1 import DEG, PERIOD, RPM, Dispersion, Outcome
-from plants.outcome import figures, report, study
-from plants.outcome.indices import clopper_pearson
-from plants.outcome.study import Statement, Table, Verdict
-from plants.simulation import campaign, simulate
 
 NAMES = (LQR, SDRE, MRP)
 PAPER = (LQR, SDRE)
@@ -38,7 +34,7 @@ class Study(study.Study):
     drawn: Dispersion
     load: np.ndarray  # (runs,) share of a wheel's momentum that rest would take
     duration: float  # s, of a flight
-    campaigns: dict[str, campaign.Campaign] = field(default_factory=dict)
+    campaigns: dict[str, Campaign] = field(default_factory=dict)
 
     def outcome(self, name: str) -> Outcome:
         """Finished runs of a controller."""
@@ -238,7 +234,7 @@ def replay(chosen: Mapping[str, Any], index: int, seed: int, duration: float, ou
     series, lines = {}, []
     for name, controller in chosen.items():
         first = type(start)(*(part[0] for part in start))
-        run = simulate.simulate(*amazonia1.manoeuvre(first, controller, duration=duration, period=controller.dt))
+        run = simulate(*amazonia1.manoeuvre(first, controller, duration=duration, period=controller.dt))
         measured = measure(run)
         o = measured.outcome
         verdict = "converges" if o.converged else "slow, but elsewhere" if o.slow else "does not converge"

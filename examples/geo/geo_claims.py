@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 import geo_controllers as design
 import numpy as np
 
-from plants.outcome.study import Statement, Verdict
-from synth.errors import AssumptionError
-from synth.synthesis.mixedsensitivity import mixsyn
+from plants import Statement, Verdict
+from synth import AssumptionError, mixsyn
 
 if TYPE_CHECKING:
     from geo import Study

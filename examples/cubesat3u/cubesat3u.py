@@ -33,14 +33,23 @@ from cubesat3u_figures import drawings, indices_figure
 from tqdm import tqdm
 
 import synth
-from plants.geometry import attitude
-from plants.missions import cubesat3u
+from plants import (
+    Campaign,
+    Indices,
+    Loop,
+    Run,
+    Scenario,
+    Table,
+    attitude,
+    campaign,
+    cubesat3u,
+    draw,
+    indices,
+    report,
+    simulate_many,
+    study,
+)
 from plants.missions.cubesat3u import DEG, REQUIREMENTS
-from plants.outcome import indices, report, study
-from plants.outcome.indices import Indices
-from plants.outcome.study import Table
-from plants.simulation import campaign, simulate
-from plants.simulation.loop import Loop, Run, Scenario
 from synth.delivery.qp import save_mpc
 
 
@@ -69,8 +78,8 @@ class Study(study.Study):
     controllers: Mapping[str, Any]
     window: float  # s, start of the window of the indices
     nominal: dict[str, Indices] = field(default_factory=dict)
-    campaigns: dict[str, campaign.Campaign] = field(default_factory=dict)
-    turned: dict[str, campaign.Campaign] = field(default_factory=dict)  # on random orbit planes
+    campaigns: dict[str, Campaign] = field(default_factory=dict)
+    turned: dict[str, Campaign] = field(default_factory=dict)  # on random orbit planes
     quiet: dict[str, Indices] = field(default_factory=dict)  # with vector sensors of half the noise
     eclipse: dict[str, Run] = field(default_factory=dict)  # one orbit with its eclipse
 
@@ -128,7 +137,7 @@ def starts(runs: int, seed: int) -> Start:
         drawn = cubesat3u.disperse(seed, index)
         return Start(drawn.inertia, drawn.angles, drawn.rates)
 
-    return campaign.draw(one, runs + 1, seed)
+    return draw(one, runs + 1, seed)
 
 
 def case(start: Start, shared: Shared) -> tuple[Loop, Scenario]:
@@ -175,7 +184,7 @@ def fly(found: Study, runs: int, seed: int, duration: float) -> None:
     surroundings = cubesat3u.environment(duration)
     drawn = starts(runs, seed)
     periods = round(duration / cubesat3u.CONTROL_PERIOD)
-    measure = functools.partial(indices.indices, start=found.window, delta_t=REQUIREMENTS.pse_interval)
+    measure = functools.partial(indices, start=found.window, delta_t=REQUIREMENTS.pse_interval)
     navigators = {"EKF": cubesat3u.ekf(), "SVD": cubesat3u.svd(), "EKF direct": cubesat3u.ekf(direct=True)}
     order, turned = (HINF, SVD_HINF, PD, *MPC, *SVD_MPC), (HINF, SVD_HINF)
     orbits = 5.64 * duration  # s, the period of the orbit for full runs: 38 minutes of eclipse
@@ -184,20 +193,18 @@ def fly(found: Study, runs: int, seed: int, duration: float) -> None:
             navigator, controller = name.split(" + ")
             shared = Shared(surroundings, found.controllers[controller], navigators[navigator], periods)
             keep = range(runs + 1) if name == HINF else [0]
-            flown = campaign.campaign(
-                case, drawn, shared, measure=measure, read=applied, seed=seed, keep=keep, progress=False
-            )
+            flown = campaign(case, drawn, shared, measure=measure, read=applied, seed=seed, keep=keep, progress=False)
             found.campaigns[name] = flown
             if not flown.complete:
                 raise KeyboardInterrupt
-            found.nominal[name] = indices.indices(flown.kept[0], start=found.window)
+            found.nominal[name] = indices(flown.kept[0], start=found.window)
             bar.update()
         planes = np.array([cubesat3u.disperse(seed, index).raan for index in range(runs + 1)])
         batch = cubesat3u.environment(duration, raan=planes, argument_of_latitude=cubesat3u.noon(planes, duration))
         for name in turned:
             navigator, controller = name.split(" + ")
             shared = Shared(None, found.controllers[controller], navigators[navigator], periods)
-            flown = campaign.campaign(on_plane, (drawn, batch), shared, measure=measure, seed=seed, progress=False)
+            flown = campaign(on_plane, (drawn, batch), shared, measure=measure, seed=seed, progress=False)
             found.turned[name] = flown
             if not flown.complete:
                 raise KeyboardInterrupt
@@ -206,13 +213,13 @@ def fly(found: Study, runs: int, seed: int, duration: float) -> None:
         for name in (SVD_HINF, *MPC):
             navigator, controller = name.split(" + ")
             shared = Shared(surroundings, found.controllers[controller], navigators[navigator], periods)
-            found.quiet[name] = measure(simulate.simulate_many([quiet(*case(start, shared))], progress=False)[0])
+            found.quiet[name] = measure(simulate_many([quiet(*case(start, shared))], progress=False)[0])
         bar.update(2)
         night = cubesat3u.environment(orbits)
         for name in (HINF, DIRECT):
             navigator, controller = name.split(" + ")
             shared = Shared(night, found.controllers[controller], navigators[navigator], round(orbits / 0.5))
-            found.eclipse[name] = simulate.simulate_many([case(start, shared)], progress=False)[0]
+            found.eclipse[name] = simulate_many([case(start, shared)], progress=False)[0]
             bar.update()
 
 

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from plants.missions import airbearing
+from plants import Campaign, Loop, Run, Scenario, Statement, Table, Verdict, airbearing, blocks, figures, report, study
 from plants.missions.airbearing import (
     DEG,
     INERTIA,
@@ -28,14 +28,9 @@ from plants.missions.airbearing import (
     Q,
     R,
 )
-from plants.outcome import figures, report, study
-from plants.outcome.study import Statement, Table, Verdict
-from plants.simulation import blocks, campaign
-from plants.simulation.loop import Loop, Run, Scenario
-from synth.regulators.controller import state_feedback
-from synth.regulators.regulator import lqr, lqrd, sampled_cost
-from synth.regulators.sdc import EulerModel
-from synth.regulators.sdre import SdreSampled, sampled_gain
+from synth import EulerModel, SdreSampled, lqr, lqrd, state_feedback
+from synth.regulators.regulator import sampled_cost
+from synth.regulators.sdre import sampled_gain
 
 LQR, SDRE, NAIVE = "LQR", "SDRE", "LQR, continuous gain held"
 DIFFERENCE, NO_RATE = "SDRE, angles and their differences", "SDRE, angles alone"
@@ -59,7 +54,7 @@ class Shared(NamedTuple):
 class Study(study.Study):
     """What has been measured so far."""
 
-    campaigns: dict[str, campaign.Campaign] = field(default_factory=dict)
+    campaigns: dict[str, Campaign] = field(default_factory=dict)
 
     def one(self, name: str, index: int = 0) -> Outcome:
         """One run of a configuration."""

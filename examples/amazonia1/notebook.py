@@ -14,22 +14,14 @@
 # Romero and Souza (CILAMCE 2022; WSEAS 2022, doi 10.37394/23202.2022.21.9) bring the satellite Amazonia-1 to rest with
 # three reaction wheels. The controller solves a Riccati equation at every sample, for the model factorised at the
 # present state (SDRE). Here its weights are moved, and its H-infinity relative is led back to it. The studies
-# themselves, with the papers' claims, are `examples/amazonia1.py` and `examples/amazonia1_region.py`.
+# themselves, with the papers' claims, are `amazonia1.py` and `amazonia1_region.py` beside this notebook.
 
 # %%
-import sys
-from pathlib import Path
-
+import amazonia1 as study
 import matplotlib.pyplot as plt
 import numpy as np
 
-root = next(folder for folder in (Path.cwd(), *Path.cwd().parents) if (folder / "examples").is_dir())
-sys.path.insert(0, str(root / "examples"))
-
-import amazonia1 as study
-
-from plants.missions import amazonia1
-from plants.outcome.study import campaigns
+from plants import amazonia1, campaigns
 from synth import QuaternionModel, Sdre, SdreHinfStatic, quaternion_lqr
 
 RUNS = 3  # random attitudes, rates and inertias

@@ -16,16 +16,9 @@ import numpy as np
 from geo_claims import HOLD, PERTURBED, REACH, statements
 from geo_figures import sections
 
-from plants.missions import geo
+from plants import Requirement, Run, Table, geo, simulate, simulate_many, study
 from plants.missions.geo import BOX, DAY, END, FORCE, MASS, OFFSET, SETTLE, WEAK_FORCE
-from plants.outcome import study
-from plants.outcome.report import Requirement
-from plants.outcome.study import Table
-from plants.simulation.loop import Run
-from plants.simulation.simulate import simulate, simulate_many
-from synth.predictive.fuel import FuelMpc, MinimumFuel, free_motion, fuel_mpc, minimum_fuel
-from synth.synthesis.design import Design
-from synth.systems.sampled import c2d
+from synth import Design, FuelMpc, MinimumFuel, c2d, free_motion, fuel_mpc, minimum_fuel
 
 NOISE = np.repeat([1.0, 1e-3], 3)  # m, m/s, one sigma of each sample: ours, the thesis does not say
 PERIOD = 6.0  # s, the thesis's T = 0.1 min; of the linear controllers

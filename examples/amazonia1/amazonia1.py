@@ -11,16 +11,31 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from plants.missions import amazonia1
+from plants import (
+    Campaign,
+    Loop,
+    Scenario,
+    Statement,
+    Table,
+    Verdict,
+    amazonia1,
+    clopper_pearson,
+    figures,
+    report,
+    study,
+)
 from plants.missions.amazonia1 import DEG, PERIOD, Outcome, Start
-from plants.outcome import figures, report, study
-from plants.outcome.indices import clopper_pearson
-from plants.outcome.study import Statement, Table, Verdict
-from plants.simulation import campaign
-from plants.simulation.loop import Loop, Scenario
-from synth.regulators.quaternion import quaternion_lqr, quaternion_pd, quaternion_pid
-from synth.regulators.sdc import MrpModel, QuaternionModel
-from synth.regulators.sdre import Sdre, SdreHinf, SdreHinfPaperLiteral, SdreHinfStatic
+from synth import (
+    MrpModel,
+    QuaternionModel,
+    Sdre,
+    SdreHinf,
+    SdreHinfPaperLiteral,
+    SdreHinfStatic,
+    quaternion_lqr,
+    quaternion_pd,
+    quaternion_pid,
+)
 
 SDRE, MRP, LQR, PD, PID = "SDRE", "SDRE, MRP", "LQR", "PD", "PID"
 LITERAL, STATIC, DYNAMIC = "SDRE + Hinf, as published", "SDRE + Hinf, static", "SDRE + Hinf, dynamic"
@@ -51,7 +66,7 @@ class Study(study.Study):
     """What has been measured so far."""
 
     duration: float  # s, of a flight
-    campaigns: dict[str, campaign.Campaign] = field(default_factory=dict)
+    campaigns: dict[str, Campaign] = field(default_factory=dict)
 
     def random(self, name: str) -> Outcome:
         """The runs of the Monte Carlo that have finished."""

@@ -14,24 +14,15 @@
 # A thesis compares an LQR and an H-infinity controller that bring a geostationary satellite from 100 m to within 10 cm
 # of its ideal point in 100 minutes, and finds that H-infinity needs far less fuel. Here the H-infinity problem is posed
 # so that it has a solution, its weights are moved, and fuel is compared with the least that any control needs. The
-# study itself is `examples/geo.py`; this notebook uses its parts.
+# study itself is `geo.py`; this notebook uses its parts.
 
 # %%
-import sys
-from pathlib import Path
-
+import geo as study
+import geo_controllers as design
 import matplotlib.pyplot as plt
 import numpy as np
 
-root = next(folder for folder in (Path.cwd(), *Path.cwd().parents) if (folder / "examples").is_dir())
-sys.path.insert(0, str(root / "examples"))
-
-import geo as study
-import geo_controllers as design
-
-from plants.missions import geo
-from plants.outcome import report
-from plants.simulation.simulate import simulate_many
+from plants import geo, report, simulate_many
 from synth import AssumptionError, StateSpace, feedback, series, sigma_plot
 
 # %% [markdown]

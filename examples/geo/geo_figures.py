@@ -10,10 +10,9 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
+from plants import Section, drawings, figures
 from plants.missions.geo import DAY
-from plants.outcome import figures
-from plants.outcome.report import BOUND, STYLE, Section
-from plants.outcome.study import drawings
+from plants.outcome.report import BOUND, STYLE
 
 if TYPE_CHECKING:
     from geo import Flight, Study

@@ -14,26 +14,17 @@
 # Pecorilla and Stesina (2024), doi 10.1002/rnc.7119, hold a 3U CubeSat to nadir with an H-infinity controller. Here
 # its weights are moved, every design is verified anew, and all of them fly through the same simulator: rigid body,
 # wheels, Sun sensor, magnetometer, gyro and extended Kalman filter. The study itself, with MPC and PD and the paper's
-# claims, is `examples/cubesat3u.py`; this notebook uses its parts.
+# claims, is `cubesat3u.py`; this notebook uses its parts.
 
 # %%
 import functools
-import sys
-from pathlib import Path
-
-import matplotlib.pyplot as plt
-import numpy as np
-
-root = next(folder for folder in (Path.cwd(), *Path.cwd().parents) if (folder / "examples").is_dir())
-sys.path.insert(0, str(root / "examples"))
 
 import cubesat3u as study
+import matplotlib.pyplot as plt
+import numpy as np
 from cubesat3u_claims import BOUNDS, INDICES, worst
 
-from plants.missions import cubesat3u
-from plants.outcome import indices, report
-from plants.outcome.plots import campaign_plot
-from plants.outcome.study import campaigns
+from plants import campaign_plot, campaigns, cubesat3u, indices, pointing_errors, report
 from synth import LinearController, StateSpace, proportional_derivative, series, sigma_plot
 
 RUNS = 3  # dispersed starts beside that of table 3
@@ -121,7 +112,7 @@ campaigns(
     study.starts(RUNS, seed=0),
     shared,
     flown,
-    measure=functools.partial(indices.indices, start=WINDOW),
+    measure=functools.partial(indices, start=WINDOW),
     read=study.applied,
     keep=dict.fromkeys(designs, (0,)),
 )
@@ -145,7 +136,7 @@ _ = axes[1].set(xlim=(0, 60), ylim=(-2.5 * cubesat3u.WHEEL_TORQUE, 2.5 * cubesat
 fig, ax = plt.subplots(figsize=(9, 3.5), layout="constrained")
 for name, each in flown.items():
     run = each.kept[0]
-    ax.semilogy(run.time, np.degrees(indices.errors(run).angle), label=name)
+    ax.semilogy(run.time, np.degrees(pointing_errors(run).angle), label=name)
 ax.set(xlabel="time, s", ylabel="pointing error, deg")
 _ = ax.legend(fontsize="small")
 # %% [markdown]
@@ -160,7 +151,7 @@ _ = ax.legend(fontsize="small")
 # %%
 rows = []
 for name, each in flown.items():
-    first = indices.indices(each.kept[0], start=WINDOW)
+    first = indices(each.kept[0], start=WINDOW)
     levels = [f"{worst(first, key):.4f}" for key in INDICES.values()]
     rows.append((name, *levels, f"{float(first.settling_time):.0f}", f"{1e3 * first.effort.sum():.1f}"))
 rows.append(("required", *(f"{bound:.4f}" for bound in BOUNDS.values()), "", ""))
@@ -170,7 +161,7 @@ print(report.text_table(("worst axis, 95 %, deg", *INDICES, "settles to 1 deg, s
 # Margins of the paper's choice:
 
 # %%
-first = indices.indices(flown["torque x 1"].kept[0], start=WINDOW)
+first = indices(flown["torque x 1"].kept[0], start=WINDOW)
 for name, key in INDICES.items():
     print(report.Requirement(name, float(worst(first, key)), BOUNDS[name], "deg"))
 

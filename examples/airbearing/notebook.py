@@ -13,27 +13,17 @@
 #
 # A disk on an air bearing turns to (50, 20, -30) degrees with three reaction wheels: LQR against SDRE, with and without
 # a Kalman filter, after a study of INPE's Space Mechanics and Control Division. Here the weights are moved; the study
-# itself, with the paper's claims, is `examples/airbearing.py`, and this notebook uses its parts.
+# itself, with the paper's claims, is `airbearing.py`, and this notebook uses its parts.
 
 # %%
-import sys
-from pathlib import Path
-
+import airbearing as study
 import matplotlib.pyplot as plt
 import numpy as np
 
-root = next(folder for folder in (Path.cwd(), *Path.cwd().parents) if (folder / "examples").is_dir())
-sys.path.insert(0, str(root / "examples"))
-
-import airbearing as study
-
-from plants.missions import airbearing
+from plants import airbearing, report, simulate, simulate_many
 from plants.missions.airbearing import DEG, INERTIA, PERIOD, TARGET, Q, R
-from plants.outcome import report
-from plants.simulation.simulate import simulate, simulate_many
-from synth.regulators.regulator import lqr, lqrd, sampled_cost
-from synth.regulators.sdc import EulerModel
-from synth.regulators.sdre import SdreSampled
+from synth import EulerModel, SdreSampled, lqr, lqrd
+from synth.regulators.regulator import sampled_cost
 
 DURATION, STEADY = 240.0, 180.0  # s, of a flight, and where the slowest design is steady
 

@@ -12,14 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from synth.regulators.controller import LinearController, state_feedback
-from synth.regulators.regulator import dlqr, lqg, lqr
-from synth.synthesis.design import Design
-from synth.synthesis.hinfinity import hinfsyn
-from synth.synthesis.mixedsensitivity import mixsyn
-from synth.systems.generalized import GeneralizedPlant
-from synth.systems.sampled import c2d
-from synth.systems.statespace import StateSpace
+from synth import (
+    Design,
+    GeneralizedPlant,
+    LinearController,
+    StateSpace,
+    c2d,
+    dlqr,
+    hinfsyn,
+    lqg,
+    lqr,
+    mixsyn,
+    state_feedback,
+)
 
 THESIS_LQR, LQR, LQG = "LQR of the thesis", "LQR, tuned", "LQG"
 MIXED, MIXED_TUNED, FOUR_BLOCK = "H-infinity of the thesis", "H-infinity, tuned", "H-infinity, four blocks"

@@ -8,10 +8,8 @@ import numpy as np
 from cubesat3u_claims import AXES, BOUNDS, HINF, INDICES, PAPER, worst
 from matplotlib.figure import Figure
 
-from plants.missions import cubesat3u
+from plants import Run, cubesat3u, figures, pointing_errors, report, stability, study
 from plants.missions.cubesat3u import DEG, REQUIREMENTS
-from plants.outcome import figures, indices, report, study
-from plants.simulation.loop import Run
 
 
 def indices_figure(found: Any) -> Figure:
@@ -38,7 +36,7 @@ def drawings(found: Any) -> list[report.Section]:
          "Reaction wheels: acceleration by the motor, and speed (figure 9)."),
     ]  # fmt: skip
     for number, (index, key) in enumerate((("AKE", "ake"), ("APE", "ape"), ("control error", "control_error")), 10):
-        series = {n: (r.time[r.time >= found.window], getattr(indices.errors(r), key)[r.time >= found.window] / DEG)
+        series = {n: (r.time[r.time >= found.window], getattr(pointing_errors(r), key)[r.time >= found.window] / DEG)
                   for n, r in runs.items()}  # fmt: skip
         shown.append((
             figures.against_bound(series, AXES, BOUNDS[index], "deg"),
@@ -48,7 +46,7 @@ def drawings(found: Any) -> list[report.Section]:
     series = {}
     for n, r in runs.items():
         late = r.time[lag:] >= found.window
-        series[n] = (r.time[lag:][late], indices.stability(indices.errors(r).ape, lag)[late] / DEG)
+        series[n] = (r.time[lag:][late], stability(pointing_errors(r).ape, lag)[late] / DEG)
     shown.append((
         figures.against_bound(series, AXES, BOUNDS["PSE"], "deg"),
         f"PSE over {REQUIREMENTS.pse_interval:g} s with its requirement (figure 13).",
@@ -62,7 +60,7 @@ def drawings(found: Any) -> list[report.Section]:
         (indices_figure(found), "Indices of every run, worst axis, and the requirements (figure 16, all loops)."),
     ]  # fmt: skip
     if found.eclipse:
-        angles = {n: (r.time, indices.errors(r).angle[:, None] / DEG) for n, r in found.eclipse.items()}
+        angles = {n: (r.time, pointing_errors(r).angle[:, None] / DEG) for n, r in found.eclipse.items()}
         spreads.append((
             figures.histories(angles, ("pointing error, deg",), scale="log"),
             "One orbit from the start of table 3, with its eclipse: vector solution against the vectors themselves.",

@@ -7,10 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from plants.missions import cubesat3u
-from plants.outcome import indices
-from plants.outcome.indices import Indices
-from plants.outcome.study import Statement, Verdict, either
+from plants import Indices, Statement, Verdict, cubesat3u, either, indices, pointing_errors
 
 DEG = cubesat3u.DEG
 BOUND = cubesat3u.REQUIREMENTS  # table 1
@@ -77,7 +74,7 @@ def findings(found: Any) -> list[str]:
             f"{pairs[1][1]:.4f} against {pairs[0][1]:.4f} deg: the stability of {HINF} is a matter of bandwidth."
         )
     if len(found.eclipse) == 2:
-        peaks = {name: indices.errors(run).angle[run.time > 300].max() / DEG for name, run in found.eclipse.items()}
+        peaks = {name: pointing_errors(run).angle[run.time > 300].max() / DEG for name, run in found.eclipse.items()}
         sentences.append(
             f"Over one orbit with its eclipse the pointing error of {HINF}, whose filter is fed by the vector "
             f"solution, reaches {peaks[HINF]:.2f} deg; with the vectors themselves ({DIRECT}) {peaks[DIRECT]:.2f} deg."
@@ -124,7 +121,7 @@ def statements(found: Any) -> list[Statement]:
     def stable() -> Verdict:
         wins = [level(HINF, "pse") < min(level(name, "pse"), level(SVD_HINF, "pse")) for name in MPC]
         late = {
-            name: worst(indices.indices(found.campaigns[name].kept[0], start=found.window, delta_t=10.0), "pse")
+            name: worst(indices(found.campaigns[name].kept[0], start=found.window, delta_t=10.0), "pse")
             for name in (HINF, *MPC)
         }
         text = ", ".join(f"{name} {value:.3g}" for name, value in late.items())
