@@ -26,7 +26,13 @@ if TYPE_CHECKING:
     from synth.delivery.acceptance import Requirements as Requirements
     from synth.delivery.acceptance import accept as accept
     from synth.delivery.formats import export as export
-    from synth.delivery.plots import sigma_plot as sigma_plot
+    from synth.delivery.frequencyplots import bode as bode
+    from synth.delivery.frequencyplots import nichols as nichols
+    from synth.delivery.frequencyplots import nyquist as nyquist
+    from synth.delivery.frequencyplots import sigma as sigma
+    from synth.delivery.timeplots import impulse as impulse
+    from synth.delivery.timeplots import pzmap as pzmap
+    from synth.delivery.timeplots import step as step
     from synth.equations.riccati import care as care
     from synth.equations.riccati import dare as dare
     from synth.errors import AssumptionError as AssumptionError
@@ -118,6 +124,7 @@ _HOME = {
     "VerificationError": "errors",
     "accept": "delivery.acceptance",
     "augw": "synthesis.mixedsensitivity",
+    "bode": "delivery.frequencyplots",
     "c2d": "systems.sampled",
     "care": "equations.riccati",
     "dare": "equations.riccati",
@@ -132,6 +139,7 @@ _HOME = {
     "h2norm": "analysis.norms",
     "hinfnorm": "analysis.norms",
     "hinfsyn": "synthesis.hinfinity",
+    "impulse": "delivery.timeplots",
     "lft": "systems.connect",
     "lqg": "regulators.regulator",
     "lqr": "regulators.regulator",
@@ -143,14 +151,18 @@ _HOME = {
     "mpc": "predictive.horizon",
     "ncfmargin": "analysis.coprime",
     "ncfsyn": "synthesis.loopshaping",
+    "nichols": "delivery.frequencyplots",
+    "nyquist": "delivery.frequencyplots",
     "proportional_derivative": "regulators.controller",
+    "pzmap": "delivery.timeplots",
     "quaternion_lqr": "regulators.quaternion",
     "quaternion_pd": "regulators.quaternion",
     "quaternion_pid": "regulators.quaternion",
     "read_study": "command.specification",
     "series": "systems.connect",
-    "sigma_plot": "delivery.plots",
+    "sigma": "delivery.frequencyplots",
     "state_feedback": "regulators.controller",
+    "step": "delivery.timeplots",
     "system": "systems.statespace",
     "verify": "analysis.norms",
 }

@@ -25,7 +25,7 @@ import numpy as np
 from cubesat3u_claims import BOUNDS, INDICES, worst
 
 from plants import campaign_plot, campaigns, cubesat3u, indices, pointing_errors, report
-from synth import LinearController, StateSpace, proportional_derivative, series, sigma_plot
+from synth import LinearController, StateSpace, proportional_derivative, series, sigma
 
 RUNS = 3  # dispersed starts beside that of table 3
 DURATION, WINDOW = 200.0, 100.0  # s, of a flight, and where its steady state begins
@@ -81,8 +81,8 @@ pd = proportional_derivative(cubesat3u.INERTIA, 0.17, 0.8, cubesat3u.CONTROL_PER
 compared = {name: (each.controller, {}) for name, each in designs.items()}
 compared["PD"] = (StateSpace.of((pd.A, pd.B, pd.C, pd.D, pd.dt)), {"color": "k", "ls": "--"})
 for name, (controller, style) in compared.items():
-    sigma_plot(series(study.model(), controller), axes[0], omega=omega, label=name, **style)
-    sigma_plot(controller, axes[1], omega=omega, label=name, **style)
+    sigma(series(study.model(), controller), axes[0], omega=omega, label=name, **style)
+    sigma(controller, axes[1], omega=omega, label=name, **style)
 axes[0].axhline(1, color="k", lw=0.8)
 axes[0].set_title("open loop, at the torque")
 axes[1].set_title("controller, y to u")

@@ -23,7 +23,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from plants import geo, report, simulate_many
-from synth import AssumptionError, StateSpace, feedback, series, sigma_plot
+from synth import AssumptionError, StateSpace, feedback, series, sigma
 
 # %% [markdown]
 # ## A problem without a solution, and one with
@@ -64,8 +64,8 @@ G, omega = design.relative_motion(geo.RATE, design.MINUTE), np.geomspace(1e-3, 1
 none = StateSpace(np.zeros((0, 0)), np.zeros((0, 3)), np.zeros((3, 0)), np.eye(3))
 for name, each in shifts.items():
     loop = series(each.controller, G)
-    sigma_plot(feedback(none, loop), axes[0], omega=omega, label=name)
-    sigma_plot(feedback(loop, none), axes[1], omega=omega, label=name)
+    sigma(feedback(none, loop), axes[0], omega=omega, label=name)
+    sigma(feedback(loop, none), axes[1], omega=omega, label=name)
 for ax, weight, title in zip(axes, design.thesis_weights()[::2], ("S", "T"), strict=True):
     limit = shifts["shift 0.1 per min"].gamma / np.array([abs(weight.frequency_response(w)[0, 0]) for w in omega])
     ax.plot(omega, limit, "k:", label="gamma over the weight, shift 0.1")

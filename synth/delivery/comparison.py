@@ -14,7 +14,8 @@ from synth.analysis.gap import gapmetric
 from synth.analysis.norms import balance
 from synth.analysis.stabilitymargins import margins
 from synth.delivery.acceptance import inner
-from synth.delivery.plots import frequencies, sigma, sigma_plot
+from synth.delivery.curves import frequencies, singular_values
+from synth.delivery.frequencyplots import sigma
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.files import write_atomically
 from synth.synthesis.design import Design
@@ -115,8 +116,8 @@ def plot(designs: Mapping[str, Design], path: str | os.PathLike[str]) -> Path:
             closed, K = design.closed_loop, _parts(design)[1]
             omega = frequencies(closed, K)
             style: dict[str, Any] = {"color": f"C{i}", "lw": 1.2, "ls": ("-", "--", "-.", ":")[i % 4]}
-            loops.loglog(omega, sigma(closed, omega)[:, 0] / design.gamma, label=Path(name).stem, **style)
-            sigma_plot(K, controllers, omega=omega, **style)
+            loops.loglog(omega, singular_values(closed, omega)[:, 0] / design.gamma, label=Path(name).stem, **style)
+            sigma(K, controllers, omega=omega, **style)
         loops.axhline(1.0, color="0.6", lw=0.8)
         loops.set(xlabel="frequency, rad/s", title="closed loop w to z, largest / gamma")
         controllers.set(ylabel="", title="controller, singular values")

@@ -7,8 +7,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from synth import GeneralizedPlant, StateSpace, c2d, hinfsyn, ncfsyn, sigma_plot
-from synth.delivery.plots import frequencies
+from synth import GeneralizedPlant, StateSpace, c2d, hinfsyn, ncfsyn, sigma
+from synth.delivery.curves import frequencies
 from synth.errors import ModelError
 
 
@@ -35,7 +35,7 @@ def _closed():
 
 
 def test_a_first_order_lag_has_its_gain():
-    ax = sigma_plot(StateSpace([[-2.0]], [[1.0]], [[2.0]], [[0.0]]), label="lag")
+    ax = sigma(StateSpace([[-2.0]], [[1.0]], [[2.0]], [[0.0]]), label="lag")
     (line,) = ax.lines
     omega, gain = line.get_data()
     np.testing.assert_allclose(gain, 2 / np.hypot(2, omega), rtol=1e-12)
@@ -49,7 +49,7 @@ def test_discrete_curves_end_at_nyquist(design):
 
 
 def test_systems_without_poles_are_flat():
-    ax = sigma_plot(StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[3.0]]))
+    ax = sigma(StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[3.0]]))
     assert set(ax.lines[0].get_ydata()) == {3.0}
 
 
