@@ -24,7 +24,7 @@ RESERVED = frozenset(
     # headers of the standard library and of the units, which a file of the same name would hide
     "assert complex ctype errno fenv inttypes iso646 limits locale math setjmp signal stdalign stdarg stdatomic "
     "stdbool stddef stdint stdio stdlib stdnoreturn string tgmath threads time uchar wchar wctype "
-    "model instance fmi2 fmi3 types2 types3".split()
+    "model instance fmi2 fmi3".split()
 )
 
 

@@ -69,9 +69,9 @@ def _license() -> bytes:
 
 
 def sources(controller: SequentialController, origin: Origin, name: str, *, version: int) -> dict[str, bytes]:
-    """The controller's C, the wrapper and its types; model.h, which joins them, is still missing."""
+    """The controller's C, the wrapper and its interface; model.h, which joins them, is still missing."""
     files = c_files(controller, origin, name, self_test=False)
-    files |= {file: (PACKAGE / file).read_bytes() for file in (f"fmi{version}.c", "instance.h", f"types{version}.h")}
+    files |= {file: (PACKAGE / file).read_bytes() for file in (f"fmi{version}.c", "instance.h", f"fmi{version}.h")}
     if version == 3:
         root = Element("fmiBuildDescription", fmiVersion="3.0")
         build = SubElement(

@@ -1,6 +1,7 @@
 /* A sampled controller as an FMI 2.0 co-simulation unit; see instance.h. */
+#include "fmi2.h"
+
 #include "instance.h"
-#include "types2.h"
 
 typedef struct {
     controller_data data;
@@ -19,8 +20,6 @@ static fmi2Status report(const instance *self, const char *problem)
     }
     return fmi2Error;
 }
-
-#pragma GCC visibility push(default) /* what follows is what a simulator calls */
 
 const char *fmi2GetTypesPlatform(void)
 {

@@ -1,6 +1,7 @@
 /* A sampled controller as an FMI 3.0 co-simulation unit; see instance.h. */
+#include "fmi3.h"
+
 #include "instance.h"
-#include "types3.h"
 
 typedef struct {
     controller_data data;
@@ -18,8 +19,6 @@ static fmi3Status report(const instance *self, const char *problem)
     }
     return fmi3Error;
 }
-
-#pragma GCC visibility push(default) /* what follows is what a simulator calls */
 
 const char *fmi3GetVersion(void)
 {
@@ -104,34 +103,17 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
 
 /* All variables are Float64. */
 
-#define NO_VARIABLES(function, type)                                                                                   \
-    fmi3Status function(fmi3Instance c, const fmi3ValueReference vr[], size_t nvr, type values[], size_t n)            \
+#define NO_VARIABLES(type)                                                                                             \
+    fmi3Status fmi3Get##type(fmi3Instance c, VARIABLES, fmi3##type values[], size_t n)                                 \
     {                                                                                                                  \
-        return report(c, nvr == 0 ? NULL : #function ": all variables are of type Float64");                           \
+        return report(c, nvr == 0 ? NULL : "fmi3Get" #type ": all variables are of type Float64");                     \
+    }                                                                                                                  \
+    fmi3Status fmi3Set##type(fmi3Instance c, VARIABLES, const fmi3##type values[], size_t n)                           \
+    {                                                                                                                  \
+        return report(c, nvr == 0 ? NULL : "fmi3Set" #type ": all variables are of type Float64");                     \
     }
 
-NO_VARIABLES(fmi3GetFloat32, fmi3Float32)
-NO_VARIABLES(fmi3GetInt8, fmi3Int8)
-NO_VARIABLES(fmi3GetUInt8, fmi3UInt8)
-NO_VARIABLES(fmi3GetInt16, fmi3Int16)
-NO_VARIABLES(fmi3GetUInt16, fmi3UInt16)
-NO_VARIABLES(fmi3GetInt32, fmi3Int32)
-NO_VARIABLES(fmi3GetUInt32, fmi3UInt32)
-NO_VARIABLES(fmi3GetInt64, fmi3Int64)
-NO_VARIABLES(fmi3GetUInt64, fmi3UInt64)
-NO_VARIABLES(fmi3GetBoolean, fmi3Boolean)
-NO_VARIABLES(fmi3GetString, fmi3String)
-NO_VARIABLES(fmi3SetFloat32, const fmi3Float32)
-NO_VARIABLES(fmi3SetInt8, const fmi3Int8)
-NO_VARIABLES(fmi3SetUInt8, const fmi3UInt8)
-NO_VARIABLES(fmi3SetInt16, const fmi3Int16)
-NO_VARIABLES(fmi3SetUInt16, const fmi3UInt16)
-NO_VARIABLES(fmi3SetInt32, const fmi3Int32)
-NO_VARIABLES(fmi3SetUInt32, const fmi3UInt32)
-NO_VARIABLES(fmi3SetInt64, const fmi3Int64)
-NO_VARIABLES(fmi3SetUInt64, const fmi3UInt64)
-NO_VARIABLES(fmi3SetBoolean, const fmi3Boolean)
-NO_VARIABLES(fmi3SetString, const fmi3String)
+FMI3_ALL_BUT_FLOAT64(NO_VARIABLES)
 
 /* Capabilities and interfaces that the model description does not claim. Version 3 wants all functions present. */
 
@@ -145,7 +127,6 @@ NO_VARIABLES(fmi3SetString, const fmi3String)
     {                                                                                                                  \
         return report(c, #function " is not provided");                                                                \
     }
-#define VARIABLES const fmi3ValueReference vr[], size_t nvr
 
 REFUSED(fmi3GetBinary, VARIABLES, size_t sizes[], fmi3Binary values[], size_t n)
 REFUSED(fmi3SetBinary, VARIABLES, const size_t sizes[], const fmi3Binary values[], size_t n)

@@ -14,6 +14,17 @@
 
 #include "model.h"
 
+#if defined _WIN32 || defined __CYGWIN__ /* a simulator finds what is marked so, and nothing else */
+#define EXPORT __declspec(dllexport)
+#elif defined __GNUC__
+#define EXPORT __attribute__((visibility("default")))
+#else
+#define EXPORT
+#endif
+#ifdef __GNUC__
+#pragma GCC diagnostic ignored "-Wunused-parameter" /* the standard fixes the signatures */
+#endif
+
 #define TIME (MODEL_INPUTS + MODEL_OUTPUTS)
 #define TOLERANCE (1e-6 * MODEL_SAMPLE_TIME) /* s, of a sample at the end of a step */
 
