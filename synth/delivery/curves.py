@@ -14,6 +14,7 @@ from synth.systems.connect import series
 from synth.systems.statespace import StateSpace, as_system
 
 POINTS = 400  # frequencies of a curve
+LIGHT = 0.3  # damping below which a resonance gets points of its own
 DECADES = 2.0  # shown below the slowest pole and, in continuous time, above the fastest
 
 
@@ -95,7 +96,7 @@ def grid_of(systems: list[tuple[str | None, StateSpace]], omega: Any) -> np.ndar
     """The frequencies asked for, or those about the poles and resonances of all systems."""
     if omega is None:
         grid = frequencies(*(G for _, G in systems))
-        peaks = np.concatenate([_speeds(G) for _, G in systems])  # a light resonance lies between the points
+        peaks = np.concatenate([_resonances(G) for _, G in systems])
         return np.union1d(grid, peaks[(peaks > grid[0]) & (peaks < grid[-1])])
     grid = as_array("omega", omega, "pass frequencies in rad/s")
     if grid.ndim != 1 or grid.size < 2 or np.any(grid <= 0) or np.any(np.diff(grid) <= 0):
@@ -132,6 +133,16 @@ def _speeds(G: StateSpace) -> np.ndarray:
         return np.abs(poles)
     poles = poles[np.abs(poles) > 1e-12]
     return np.minimum(np.abs(np.log(poles)) / G.dt, np.pi / G.dt)
+
+
+def _resonances(G: StateSpace) -> np.ndarray:
+    """Frequencies about the light poles, which lie between the points of a grid, rad/s: even steps of their phase."""
+    poles = G.poles().astype(complex)
+    if G.discrete:
+        poles = np.log(poles[np.abs(poles) > 1e-12]) / G.dt
+    light = poles[(np.imag(poles) > 0) & (np.abs(np.real(poles)) < LIGHT * np.imag(poles))]
+    turns = np.tan(np.linspace(-1.5, 1.5, 41))
+    return (np.imag(light)[:, None] + np.abs(np.real(light))[:, None] * turns).ravel()
 
 
 def nyquist_line(ax: Any, systems: list[tuple[str | None, StateSpace]]) -> None:

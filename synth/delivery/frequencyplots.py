@@ -82,7 +82,7 @@ def bode(systems: Any, ax: Any = None, *, omega: Any = None, label: str | None =
         channel = f"{names.u[j]} to {names.y[i]}" if p * m > 1 else ""
         gain.set(xscale="log", ylabel="gain, dB" if j == 0 else "", title=channel)
         phase.set(xscale="log", ylabel="phase, deg" if j == 0 else "")
-        phase.yaxis.set_major_locator(_quarters())
+        _right_angles(phase.yaxis)
         for each in (gain, phase):
             nyquist_line(each, found)
             each.grid(True, alpha=0.3, lw=0.6)
@@ -160,7 +160,7 @@ def nichols(systems: Any, ax: Any = None, *, omega: Any = None, label: str | Non
         _closed_loop_grid(each)
         each.plot([-180], [0], "+", color="red", ms=10, mew=1.6)
         each.set(xlabel="phase, deg" if i == p - 1 else "", ylabel="gain, dB" if j == 0 else "")
-        each.xaxis.set_major_locator(_quarters())
+        _right_angles(each.xaxis)
         each.set_title(f"{names.u[j]} to {names.y[i]}" if p * m > 1 else "")
     _legend(axes[0, 0], found)
     return axes[0, 0] if p * m == 1 else axes
@@ -181,10 +181,13 @@ def _degrees(response: np.ndarray) -> np.ndarray:
     return phase
 
 
-def _quarters() -> Any:
-    from matplotlib.ticker import MaxNLocator
+def _right_angles(axis: Any) -> None:
+    """Ticks of a phase at parts or multiples of a right angle, seven at most."""
+    from matplotlib.ticker import MultipleLocator
 
-    return MaxNLocator(nbins=6, steps=[1.8, 3, 4.5, 9])
+    low, high = axis.get_view_interval()
+    fitting = (step for step in (5, 15, 30, 45, 90, 180, 360) if (high - low) / step <= 7)
+    axis.set_major_locator(MultipleLocator(next(fitting, 720)))
 
 
 def _within_reach(ax: Any) -> None:

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from synth.delivery.curves import axes_for, shown
-from synth.systems.responses import Response
+from synth.systems.responses import Response, time_grid
+from synth.systems.statespace import StateSpace
 
 
 def step(systems: Any, ax: Any = None, *, time: Any = None, label: str | None = None, **style: Any) -> Any:
@@ -35,13 +36,15 @@ def step(systems: Any, ax: Any = None, *, time: Any = None, label: str | None = 
     ModelError : what is given is no system, or does not fit the axes.
     """
     found = shown(systems, label, loops=False)
-    return _responses([(name, G.step_response(time)) for name, G in found], ax, style)
+    end = _end(found, time)
+    return _responses([(name, G.step_response(end)) for name, G in found], ax, style)
 
 
 def impulse(systems: Any, ax: Any = None, *, time: Any = None, label: str | None = None, **style: Any) -> Any:
     """Responses to impulses of area one; parameters, returns and raises as `step`."""
     found = shown(systems, label, loops=False)
-    return _responses([(name, G.impulse_response(time)) for name, G in found], ax, style)
+    end = _end(found, time)
+    return _responses([(name, G.impulse_response(end)) for name, G in found], ax, style)
 
 
 def pzmap(systems: Any, ax: Any = None, *, label: str | None = None, **style: Any) -> Any:
@@ -80,6 +83,11 @@ def pzmap(systems: Any, ax: Any = None, *, label: str | None = None, **style: An
     axes.margins(0.15)
     axes.legend(fontsize="small")
     return axes
+
+
+def _end(found: list[tuple[str | None, StateSpace]], time: Any) -> Any:
+    """The time asked for, or what the slowest of the systems needs."""
+    return time if time is not None else max(float(time_grid(G.A, G.dt, None)[-1]) for _, G in found)
 
 
 def _responses(found: list[tuple[str | None, Response]], ax: Any, style: dict[str, Any]) -> Any:
