@@ -20,7 +20,7 @@ import airbearing as study
 import matplotlib.pyplot as plt
 import numpy as np
 
-from plants import airbearing, report, simulate, simulate_many
+from plants import airbearing, report, run_plot, simulate, simulate_many
 from plants.missions.airbearing import DEG, INERTIA, PERIOD, TARGET, Q, R
 from synth import EulerModel, SdreSampled, lqr, lqrd
 from synth.regulators.regulator import sampled_cost
@@ -59,7 +59,7 @@ pair = {name: simulate(*study.case(airbearing.case(), configured[name])) for nam
 fig, axes = plt.subplots(4, 1, figsize=(9, 8), sharex=True, layout="constrained")
 for name, run in pair.items():
     names = ("roll, rad", "pitch, rad", "yaw, rad", "torque x, N m")
-    run.plot(axes, outputs=[0, 1, 2], commands=[0], names=names, label=name)
+    run_plot(run, axes, outputs=[0, 1, 2], commands=[0], names=names, label=name)
 axes[-1].set_xlim(0, 80)
 _ = axes[-1].set_yscale("symlog", linthresh=1e-3)
 
@@ -105,7 +105,7 @@ print(report.text_table(headers, rows))
 # %%
 fig, axes = plt.subplots(2, 1, figsize=(9, 5), sharex=True, layout="constrained")
 for name, run in quiet.items():
-    run.plot(axes, outputs=[0], commands=[0], names=("roll, rad", "torque x, N m"), label=name)
+    run_plot(run, axes, outputs=[0], commands=[0], names=("roll, rad", "torque x, N m"), label=name)
 axes[-1].set_xlim(0, 150)
 _ = axes[-1].set_yscale("symlog", linthresh=1e-3)
 

@@ -21,7 +21,7 @@ import amazonia1 as study
 import matplotlib.pyplot as plt
 import numpy as np
 
-from plants import amazonia1, campaigns
+from plants import amazonia1, campaign_plot, campaigns, run_plot
 from synth import QuaternionModel, Sdre, SdreHinfStatic, quaternion_lqr
 
 RUNS = 3  # random attitudes, rates and inertias
@@ -79,7 +79,7 @@ print(study.table(found).text())
 fig, axes = plt.subplots(3, 1, figsize=(9, 6.5), sharex=True, layout="constrained")
 for r in factors:
     run = found.campaigns[f"SDRE, R = {r:g}"].kept[1]
-    run.plot(axes, outputs=[1, 4], commands=[0], names=("q1", "wx, rad/s", "asked, N m"), label=f"R = {r:g}")
+    run_plot(run, axes, outputs=[1, 4], commands=[0], names=("q1", "wx, rad/s", "asked, N m"), label=f"R = {r:g}")
 
 # %%
 fig, axes = plt.subplots(1, 3, figsize=(11, 3.5), layout="constrained")
@@ -113,7 +113,7 @@ print(study.table(compared).text())
 # %%
 fig, axes = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")
 for name, flown in compared.campaigns.items():
-    flown.plot(axes, results=["outcome.settling_time", "outcome.given"], label=name)
+    campaign_plot(flown, axes, results=["outcome.settling_time", "outcome.given"], label=name)
 axes[0].set_xlabel("settling time, s")
 _ = axes[1].set_xlabel("mean torque given, N m")
 

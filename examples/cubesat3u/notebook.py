@@ -24,7 +24,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from cubesat3u_claims import BOUNDS, INDICES, worst
 
-from plants import campaign_plot, campaigns, cubesat3u, indices, pointing_errors, report
+from plants import campaign_plot, campaigns, cubesat3u, indices, pointing_errors, report, run_plot
 from synth import LinearController, StateSpace, proportional_derivative, series, sigma
 
 RUNS = 3  # dispersed starts beside that of table 3
@@ -128,7 +128,7 @@ flown["torque x 1"]
 # %%
 fig, axes = plt.subplots(2, 1, figsize=(9, 5), sharex=True, layout="constrained")
 for name, each in flown.items():
-    each.kept[0].plot(axes, outputs=[0], commands=[0], names=("q1", "asked of wheel x, N m"), label=name)
+    run_plot(each.kept[0], axes, outputs=[0], commands=[0], names=("q1", "asked of wheel x, N m"), label=name)
 for limit in (-cubesat3u.WHEEL_TORQUE, cubesat3u.WHEEL_TORQUE):
     axes[1].axhline(limit, color="k", ls=":")
 _ = axes[1].set(xlim=(0, 60), ylim=(-2.5 * cubesat3u.WHEEL_TORQUE, 2.5 * cubesat3u.WHEEL_TORQUE))

@@ -22,7 +22,7 @@ import geo_controllers as design
 import matplotlib.pyplot as plt
 import numpy as np
 
-from plants import geo, report, simulate_many
+from plants import geo, report, run_plot, simulate_many
 from synth import AssumptionError, StateSpace, feedback, series, sigma
 
 # %% [markdown]
@@ -122,7 +122,7 @@ print(report.text_table(("controller", "speed", "m/s in 100 min", "m/s in 1000 m
 fig, axes = plt.subplots(4, 1, figsize=(9, 8), sharex=True, layout="constrained")
 for name in structures:
     names = ("radial, m", "along, m", "radial, m/s2", "along, m/s2")
-    flights[name, 1.0].run.plot(axes, outputs=[0, 1], commands=[0, 1], names=names, label=name)
+    run_plot(flights[name, 1.0].run, axes, outputs=[0, 1], commands=[0, 1], names=names, label=name)
 _ = axes[0].set_xlim(0, 2 * geo.SETTLE)
 
 # %%

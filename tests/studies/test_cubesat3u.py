@@ -110,7 +110,7 @@ def test_interruption_keeps_what_was_flown(tmp_path, monkeypatch, capsys):
             raise KeyboardInterrupt
         return real(*arguments, **options)
 
-    monkeypatch.setattr(campaign, "campaign", interrupted)
+    monkeypatch.setattr(study, "campaign", interrupted)
     assert study.main(["--fast", "--runs", "1", "--out", str(tmp_path)]) == 130
     assert "INTERRUPTED" in (tmp_path / "report.html").read_text()
     printed = capsys.readouterr().out
