@@ -241,3 +241,8 @@ def as_indices(kind: str, key: Any, names: tuple[str, ...]) -> list[int]:
         return [names.index(key)]
     i = as_whole(kind, key, f"a name or a number from 0 to {len(names) - 1}", least=-len(names), most=len(names) - 1)
     return [i % len(names)]
+
+
+def given_names(key: str, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Names, or numbers in the place of those that were made up."""
+    return tuple(str(i) for i in range(len(names))) if names == as_names(key, (), len(names)) else names

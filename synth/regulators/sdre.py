@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from synth.checks import as_matrix
+from synth.checks import as_weight
 from synth.equations.riccati import closed_loop_rate, continued, discrete_stabilising, stabilising, stabilising_pair
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.regulators.quaternion import as_period
@@ -121,8 +121,8 @@ class SdreSampled:
     def create(cls, model: Factorisation, dt: float, *, Q: Any = None, R: Any = None) -> SdreSampled:
         """Parameters and errors of `Sdre.create`."""
         A, B = _linear(model)
-        Q = np.eye(len(A)) if Q is None else as_matrix("Q", Q)
-        R = np.eye(B.shape[1]) if R is None else as_matrix("R", R)
+        Q = as_weight("Q", 1.0 if Q is None else Q, len(A))
+        R = as_weight("R", 1.0 if R is None else R, B.shape[1])
         K, _, _ = lqrd(A, B, Q, R, as_period(dt))
         return cls(model=model, Q=Q, R=R, gain=K, dt=as_period(dt))
 
@@ -336,7 +336,7 @@ def _at_rest(model: Factorisation, Q: Any, R: Any) -> dict[str, Any]:
     """Weights, and the regulator at the target."""
     A, B = _linear(model)
     n, m = B.shape
-    Q, R = np.eye(n) if Q is None else as_matrix("Q", Q), np.eye(m) if R is None else as_matrix("R", R)
+    Q, R = as_weight("Q", 1.0 if Q is None else Q, n), as_weight("R", 1.0 if R is None else R, m)
     K, X, _ = lqr(A, B, Q, R)
     R_inverse = np.linalg.inv(R)
     shift = float(closed_loop_rate(A, B @ R_inverse @ B.T, Q))

@@ -78,13 +78,15 @@ def augw(G: Any, W1: Any = None, W2: Any = None, W3: Any = None) -> GeneralizedP
         D21=np.eye(q),
         D22=-G.D,
         dt=G.dt,
-        w=tuple(f"reference {i}" for i in range(q)),
+        w=tuple(f"reference {s}" for s in G.named_outputs),
+        u=G.u,
         z=tuple(
             f"weighted {signal} {i}"
             for signal, W in zip(("error", "control", "output"), weights, strict=True)
             for i in range(W.ny)
         ),
-        y=tuple(f"error {i}" for i in range(q)),
+        y=tuple(f"error {s}" for s in G.named_outputs),
+        units={s: G.units[s] for s in G.u if s in G.units},
     )  # fmt: skip
 
 

@@ -174,7 +174,7 @@ class GeneralizedPlant:
             as_weight(name, W, size)
             for name, W, size in (("Wdist", Wdist, m), ("Wnoise", Wnoise, q), ("Wout", Wout, q), ("Wact", Wact, m))
         )
-        O = np.zeros
+        O, ins, outs = np.zeros, G.named_inputs, G.named_outputs
         return cls(
             A=G.A,
             B1=np.hstack([G.B @ Wd, O((G.n, q))]),
@@ -186,9 +186,11 @@ class GeneralizedPlant:
             D21=np.hstack([-G.D @ Wd, -Wn]),
             D22=-G.D,
             dt=G.dt,
-            w=(*(f"disturbance {i}" for i in range(m)), *(f"noise {i}" for i in range(q))),
-            z=(*(f"weighted output {i}" for i in range(q)), *(f"weighted effort {i}" for i in range(m))),
-            y=tuple(f"error {i}" for i in range(q)),
+            w=(*(f"disturbance {s}" for s in ins), *(f"noise {s}" for s in outs)),
+            u=G.u,
+            z=(*(f"weighted output {s}" for s in outs), *(f"weighted effort {s}" for s in ins)),
+            y=tuple(f"error {s}" for s in outs),
+            units={s: G.units[s] for s in G.u if s in G.units},
         )
 
     def close(self, K: Any) -> StateSpace:

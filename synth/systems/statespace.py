@@ -13,7 +13,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from synth.checks import as_array, as_indices, as_matrix, as_names, as_sign, as_texts, as_timebase, as_whole, shown
+from synth.checks import (
+    as_array,
+    as_indices,
+    as_matrix,
+    as_names,
+    as_sign,
+    as_texts,
+    as_timebase,
+    as_whole,
+    given_names,
+    shown,
+)
 from synth.errors import ModelError
 from synth.systems import zeros as transmission
 from synth.systems.convert import fitted, parts
@@ -103,6 +114,16 @@ class StateSpace:
     def zeros(self) -> np.ndarray:
         """Transmission zeros, complex: where the transfer matrix loses rank (Emami-Naeini and Van Dooren 1982)."""
         return transmission.transmission_zeros(self.A, self.B, self.C, self.D)
+
+    @property
+    def named_inputs(self) -> tuple[str, ...]:
+        """The names of the inputs if somebody gave them, else their numbers: what derived signals are called by."""
+        return given_names("u", self.u)
+
+    @property
+    def named_outputs(self) -> tuple[str, ...]:
+        """The names of the outputs if somebody gave them, else their numbers."""
+        return given_names("y", self.y)
 
     def dcgain(self) -> np.ndarray:
         """The gain at rest, (p, m): each entry at s = 0 or z = 1, inf where a pole stands there."""
@@ -206,7 +227,7 @@ class StateSpace:
         return replace(self, C=-self.C, D=-self.D)
 
     def __add__(self, other: Any) -> StateSpace:
-        G, H = _pair(self, other, wide=True)
+        G, H = self, _operand(other, self, wide=True)
         if (G.ny, G.nu) != (H.ny, H.nu):
             raise ModelError(f"a {G.ny} x {G.nu} and a {H.ny} x {H.nu} system cannot be added; sizes must agree")
         A = np.block([[G.A, np.zeros((G.n, H.n))], [np.zeros((H.n, G.n)), H.A]])
@@ -216,28 +237,29 @@ class StateSpace:
         return self + other
 
     def __sub__(self, other: Any) -> StateSpace:
-        return self + -_pair(self, other, wide=True)[1]
+        return self + -_operand(other, self, wide=True)
 
     def __rsub__(self, other: Any) -> StateSpace:
         return -self + other
 
     def __mul__(self, other: Any) -> StateSpace:
-        G, H = _pair(self, other)
-        G, H = repeated(G, H.ny), repeated(H, G.nu)
+        H = _operand(other, self)
+        G, H = repeated(self, H.ny), repeated(H, self.nu)
         if G.nu != H.ny:
             raise ModelError(f"the first system has {H.ny} outputs, the second {G.nu} inputs; they must agree")
         A = np.block([[H.A, np.zeros((H.n, G.n))], [G.B @ H.C, G.A]])
         B, C = np.vstack([H.B, G.B @ H.D]), np.hstack([G.D @ H.C, G.C])
-        return StateSpace(A, B, C, G.D @ H.D, G.dt, *_through(H, G))
+        units = {n: H.units[n] for n in H.u if n in H.units} | {n: G.units[n] for n in G.y if n in G.units}
+        return StateSpace(A, B, C, G.D @ H.D, G.dt, H.u, G.y, units)
 
     def __rmul__(self, other: Any) -> StateSpace:
-        return _pair(self, other)[1] * self
+        return _operand(other, self) * self
 
     def __truediv__(self, other: Any) -> StateSpace:
-        return self * _pair(self, other)[1].inverse()
+        return self * _operand(other, self).inverse()
 
     def __rtruediv__(self, other: Any) -> StateSpace:
-        return _pair(self, other)[1] * self.inverse()
+        return _operand(other, self) * self.inverse()
 
     def __pow__(self, power: int) -> StateSpace:
         power = as_whole("the power", power, "a whole number", least=-(10**6))
@@ -276,7 +298,8 @@ def as_system(name: str, value: Any, dt: float | None = None) -> StateSpace:
 
 def as_systems(**systems: Any) -> list[StateSpace]:
     """Several systems that work together, by name: gains take the timebase of the others, which must agree."""
-    base = next((dt for dt in (_own_timebase(name, G) for name, G in systems.items()) if dt is not None), None)
+    own = (G.dt if isinstance(G, StateSpace) else parts(name, G).dt for name, G in systems.items())
+    base = next((dt for dt in own if dt is not None), None)
     found = [as_system(name, G, base) for name, G in systems.items()]
     for name, G in zip(list(systems)[1:], found[1:], strict=True):
         common_timebase(found[0], G, (next(iter(systems)), name))
@@ -327,10 +350,8 @@ def system(*description: Any, dt: Any = None, u: Any = (), y: Any = (), units: A
     G = as_system("the system", value, None if dt is None else as_timebase(dt))
     named = {key: as_texts(key, () if names is None else names) for key, names in (("u", u), ("y", y))}
     changes: dict[str, Any] = {key: names for key, names in named.items() if names}
-    if changes and units is None:
-        changes["units"] = {}
-    if units is not None:
-        changes["units"] = units
+    if changes or units is not None:
+        changes["units"] = {} if units is None else units
     if dt is not None and as_timebase(dt) != G.dt:
         raise ModelError(f"the system has the timebase {G.dt} s and dt = {dt} was given; convert it with c2d")
     return replace(G, **changes) if changes else G
@@ -353,11 +374,6 @@ def check_loop(name: str, G: StateSpace, controller: str, K: StateSpace) -> None
         )
 
 
-def _own_timebase(name: str, value: Any) -> float | None:
-    """The timebase that a description has of itself; None for gains without one."""
-    return value.dt if isinstance(value, StateSpace) else parts(name, value).dt
-
-
 def _matched(name: str, value: Any, G: StateSpace, *, square: bool = False) -> StateSpace:
     """Another system beside G; a number is that multiple of the identity where `square` says so."""
     if np.isscalar(value) and not isinstance(value, str | bytes | bool):
@@ -368,12 +384,11 @@ def _matched(name: str, value: Any, G: StateSpace, *, square: bool = False) -> S
     return K
 
 
-def _pair(G: StateSpace, other: Any, *, wide: bool = False) -> tuple[StateSpace, StateSpace]:
-    """Both operands of an operator; in a sum a number stands for a matrix of it (`wide`)."""
+def _operand(other: Any, G: StateSpace, *, wide: bool = False) -> StateSpace:
+    """The other operand of an operator; in a sum a number stands for a matrix of it (`wide`)."""
     if wide and np.isscalar(other) and not isinstance(other, str | bytes | bool):
         other = as_array("the other operand", other) * np.ones((G.ny, G.nu))
-    H = _matched("the other operand", other, G)
-    return G, H
+    return _matched("the other operand", other, G)
 
 
 def repeated(G: StateSpace, size: int) -> StateSpace:
@@ -382,9 +397,3 @@ def repeated(G: StateSpace, size: int) -> StateSpace:
         return G
     I = np.eye(size)
     return StateSpace(np.kron(I, G.A), np.kron(I, G.B), np.kron(I, G.C), np.kron(I, G.D), G.dt)
-
-
-def _through(H: StateSpace, G: StateSpace) -> tuple[tuple[str, ...], tuple[str, ...], dict[str, str]]:
-    """Names and units of G H: inputs of H, outputs of G."""
-    units = {n: H.units[n] for n in H.u if n in H.units} | {n: G.units[n] for n in G.y if n in G.units}
-    return H.u, G.y, units

@@ -5,8 +5,8 @@ import pytest
 from literature import GAMMA_PECORILLA2024, cubesat_pecorilla2024
 
 from synth.command.specification import read_study
-from synth.delivery.modelfiles import save_system
-from synth.errors import SpecificationError
+from synth.delivery.modelfiles import read, save_system
+from synth.errors import ModelError, SpecificationError
 from synth.synthesis.hinfinity import hinfsyn
 from synth.synthesis.loopshaping import ncfsyn
 from synth.systems.sampled import c2d
@@ -226,3 +226,62 @@ def test_files_that_are_none(tmp_path):
         read_study(tmp_path)
     assert "this is no TOML" in problems_of("[plant", tmp_path)[0]
     assert problems_of("", tmp_path)[0] == "plant: missing"
+
+
+POLYNOMIALS = """
+[plant]
+num = [200]
+den = [0.025, 1.0025, 10.1, 1]
+dt = 0
+[synthesis]
+problem = "mixedsensitivity"
+[weights]
+W1 = { zeros = [-15.0], poles = [-1e-3], gain = 0.6666666666666666 }
+W2 = { num = 1.0, den = 1 }
+"""
+
+
+def test_transfer_functions_are_the_matrices_that_they_stand_for(tmp_path):
+    found, expected = study_of(POLYNOMIALS, tmp_path), study_of(MIXED.replace("shift = 0\n", ""), tmp_path)
+    assert found.design().verified_norm == pytest.approx(expected.design().verified_norm, rel=1e-4)
+
+
+def test_mistakes_in_polynomials_have_their_paths(tmp_path):
+    for wrong, path in (
+        (POLYNOMIALS.replace("den = [0.025, 1.0025, 10.1, 1]\n", ""), "plant: plant has no den"),
+        (POLYNOMIALS.replace("[200]", "[1, 0, 0, 0, 0]"), "plant: plant is improper"),
+        (POLYNOMIALS.replace("[200]", '["a"]'), "plant: a polynomial of plant"),
+        (POLYNOMIALS.replace("gain = 0.6666666666666666", "gain = true"), "weights.W1: the gain of W1 is True"),
+        (POLYNOMIALS.replace("zeros = [-15.0]", 'zeros = ["-1+2j"]'), "weights.W1: W1 has complex zeros without"),
+        (POLYNOMIALS.replace("num = 1.0, den", "nom = 1.0, den"), "weights.W2.nom: unknown"),
+    ):
+        problems = problems_of(wrong, tmp_path)
+        assert any(text.startswith(path) for text in problems), problems
+
+
+def test_delays_of_whole_samples(tmp_path):
+    late = study_of(SHAPING.replace("sample = 0.1", "sample = 0.1\ndelay = 0.2"), tmp_path)
+    g = c2d(StateSpace([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], [[0]]), 0.1)
+    for omega in (0.3, 5.0):
+        expected = -g.frequency_response(omega) * np.exp(-0.2j * omega)
+        np.testing.assert_allclose(late.plant.frequency_response(omega), expected, rtol=1e-9)
+    (problem,) = problems_of(SHAPING.replace("sample = 0.1", "sample = 0.1\ndelay = 0.25"), tmp_path)
+    assert problem.startswith("plant: delay is 0.25 s, [2.5] samples of 0.1 s")
+    assert any("sample the plant first" in text for text in problems_of(
+        SHAPING.replace("sample = 0.1", "delay = 0.2"), tmp_path
+    ))  # fmt: skip
+
+
+def test_system_files_hold_transfer_functions(tmp_path):
+    path = tmp_path / "plant.json"
+    text = '{"format": "convex-synth system", "format_version": 1, "dt": 0.5, "num": [1], "den": [1, -0.5], "delay": 1}'
+    path.write_text(text)
+    found = read(path).system
+    z = np.exp(0.4j)
+    assert found.frequency_response(0.8)[0, 0] == pytest.approx(1 / (z - 0.5) / z**2, rel=1e-12)
+    path.write_text(text.replace('"den": [1, -0.5]', '"den": [0]'))
+    with pytest.raises(ModelError, match="denominator 0"):
+        read(path)
+    path.write_text(text.replace('"den": [1, -0.5], ', ""))
+    with pytest.raises(ModelError, match="has no den"):
+        read(path)
