@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from synth.checks import as_array
+from synth.checks import shown as describe
 from synth.errors import ModelError
 from synth.synthesis.design import Design
 from synth.systems.connect import series
@@ -70,7 +71,10 @@ def axes_for(ax: Any, rows: int, columns: int, *, share: bool = True, size: tupl
 
         figsize = (max(size[0], 3.4 * columns), size[1] * rows)
         return plt.subplots(rows, columns, squeeze=False, sharex=share, layout="constrained", figsize=figsize)[1]
-    given = np.ravel(np.asarray(ax, dtype=object))
+    try:
+        given = np.ravel(np.asarray(ax, dtype=object))
+    except Exception:  # whatever a foreign object raises
+        raise ModelError(f"ax is {describe(ax)}; pass {rows * columns} axes of matplotlib") from None
     if given.size != rows * columns or not all(hasattr(each, "plot") for each in given):
         raise ModelError(f"ax holds {given.size} axes; pass {rows * columns}: {rows} rows of {columns}")
     return given.reshape(rows, columns)
@@ -106,13 +110,14 @@ def grid_of(systems: list[tuple[str | None, StateSpace]], omega: Any) -> np.ndar
 
 def responses(
     systems: list[tuple[str | None, StateSpace]], omega: Any
-) -> Iterator[tuple[str | None, StateSpace, np.ndarray, np.ndarray]]:
+) -> list[tuple[str | None, StateSpace, np.ndarray, np.ndarray]]:
     """Label, system, frequencies (N,) and response (N, p, m) of each; discrete ones end at Nyquist."""
-    grid = grid_of(systems, omega)
+    grid, found = grid_of(systems, omega), []
     for label, G in systems:
         own = grid[grid <= np.pi / G.dt * (1 + 1e-12)] if G.discrete else grid
         with np.errstate(all="ignore"):
-            yield label, G, own, _response(G, own)
+            found.append((label, G, own, _response(G, own)))
+    return found
 
 
 def _response(G: StateSpace, grid: np.ndarray) -> np.ndarray:

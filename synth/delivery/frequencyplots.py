@@ -37,14 +37,16 @@ def sigma(systems: Any, ax: Any = None, *, omega: Any = None, label: str | None 
     ModelError : what is given is no system, or does not fit the axes.
     """
     found = shown(systems, label, loops=False)
+    drawn = responses(found, omega)
     ((axes,),) = axes_for(ax, 1, 1, size=(6.0, 3.6))
-    for name, _, grid, response in responses(found, omega):
+    for name, _, grid, response in drawn:
         first, *others = np.linalg.svd(response, compute_uv=False).T
         (line,) = axes.plot(grid, first, label=name, **style)
         for values in others:
             axes.plot(grid, values, **{"color": line.get_color(), **style})
     nyquist_line(axes, found)
-    axes.set(xscale="log", yscale="log", xlabel="frequency, rad/s", ylabel="singular values")
+    some = any(np.any(np.asarray(line.get_ydata()) > 0) for line in axes.lines)  # a zero has no logarithm
+    axes.set(xscale="log", yscale="log" if some else "linear", xlabel="frequency, rad/s", ylabel="singular values")
     _legend(axes, found)
     return axes
 
@@ -67,9 +69,10 @@ def bode(systems: Any, ax: Any = None, *, omega: Any = None, label: str | None =
     ModelError : as `sigma`.
     """
     found = shown(systems, label, loops=True)
+    drawn = responses(found, omega)
     p, m = found[0][1].ny, found[0][1].nu
     axes = axes_for(ax, 2 * p, m, size=(6.0, 2.2))
-    for name, _, grid, response in responses(found, omega):
+    for name, _, grid, response in drawn:
         color = style.get("color")
         for i, j in np.ndindex(p, m):
             own = style if color is None else {**style, "color": color}
@@ -113,9 +116,10 @@ def nyquist(systems: Any, ax: Any = None, *, omega: Any = None, label: str | Non
     ModelError : as `sigma`.
     """
     found = shown(systems, label, loops=True)
+    drawn = responses(found, omega)
     p, m = found[0][1].ny, found[0][1].nu
     axes = axes_for(ax, p, m, share=False, size=(4.6, 4.2))
-    for name, _, _, response in responses(found, omega):
+    for name, _, _, response in drawn:
         color = style.get("color")
         for i, j in np.ndindex(p, m):
             L = response[:, i, j]
@@ -145,9 +149,10 @@ def nichols(systems: Any, ax: Any = None, *, omega: Any = None, label: str | Non
     Parameters, returns and raises as `nyquist`.
     """
     found = shown(systems, label, loops=True)
+    drawn = responses(found, omega)
     p, m = found[0][1].ny, found[0][1].nu
     axes = axes_for(ax, p, m, share=False, size=(5.2, 4.2))
-    for name, _, _, response in responses(found, omega):
+    for name, _, _, response in drawn:
         color = style.get("color")
         for i, j in np.ndindex(p, m):
             own = style if color is None else {**style, "color": color}
