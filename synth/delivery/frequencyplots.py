@@ -72,13 +72,8 @@ def bode(systems: Any, ax: Any = None, *, omega: Any = None, label: str | None =
     drawn = responses(found, omega)
     p, m = found[0][1].ny, found[0][1].nu
     axes = axes_for(ax, 2 * p, m, size=(6.0, 2.2))
-    for name, _, grid, response in drawn:
-        color = style.get("color")
-        for i, j in np.ndindex(p, m):
-            own = style if color is None else {**style, "color": color}
-            (line,) = axes[2 * i, j].plot(grid, _decibels(response[:, i, j]), label=name, **own)
-            color = line.get_color()
-            axes[2 * i + 1, j].plot(grid, _degrees(response[:, i, j]), label=name, **{**style, "color": color})
+    colors = _draw(axes[0::2], drawn, style, lambda omega, L: (omega, _decibels(L)))
+    _draw(axes[1::2], drawn, style, lambda omega, L: (omega, _degrees(L)), colors)
     names = found[0][1]
     for i, j in np.ndindex(p, m):
         gain, phase = axes[2 * i, j], axes[2 * i + 1, j]
@@ -119,16 +114,10 @@ def nyquist(systems: Any, ax: Any = None, *, omega: Any = None, label: str | Non
     drawn = responses(found, omega)
     p, m = found[0][1].ny, found[0][1].nu
     axes = axes_for(ax, p, m, share=False, size=(4.6, 4.2))
-    for name, _, _, response in drawn:
-        color = style.get("color")
-        for i, j in np.ndindex(p, m):
-            L = response[:, i, j]
-            own = style if color is None else {**style, "color": color}
-            (line,) = axes[i, j].plot(np.real(L), np.imag(L), label=name, **own)
-            color = line.get_color()
-            axes[i, j].plot(
-                np.real(L), -np.imag(L), **{**style, "color": color, "ls": "--", "lw": 0.6 * line.get_linewidth()}
-            )
+    colors = _draw(axes, drawn, style, lambda omega, L: (np.real(L), np.imag(L)))
+    width = 0.6 * axes[0, 0].lines[-1].get_linewidth()
+    mirrored = {**style, "ls": "--", "lw": width}
+    _draw(axes, drawn, mirrored, lambda omega, L: (np.real(L), -np.imag(L)), colors, labels=False)
     names = found[0][1]
     for i, j in np.ndindex(p, m):
         each = axes[i, j]
@@ -152,13 +141,7 @@ def nichols(systems: Any, ax: Any = None, *, omega: Any = None, label: str | Non
     drawn = responses(found, omega)
     p, m = found[0][1].ny, found[0][1].nu
     axes = axes_for(ax, p, m, share=False, size=(5.2, 4.2))
-    for name, _, _, response in drawn:
-        color = style.get("color")
-        for i, j in np.ndindex(p, m):
-            own = style if color is None else {**style, "color": color}
-            L = response[:, i, j]
-            (line,) = axes[i, j].plot(_degrees(L), _decibels(L), label=name, **own)
-            color = line.get_color()
+    _draw(axes, drawn, style, lambda omega, L: (_degrees(L), _decibels(L)))
     names = found[0][1]
     for i, j in np.ndindex(p, m):
         each = axes[i, j]
@@ -169,6 +152,19 @@ def nichols(systems: Any, ax: Any = None, *, omega: Any = None, label: str | Non
         each.set_title(f"{names.u[j]} to {names.y[i]}" if p * m > 1 else "")
     _legend(axes[0, 0], found)
     return axes[0, 0] if p * m == 1 else axes
+
+
+def _draw(axes: Any, drawn: Any, style: dict, curve: Any, colors: Any = None, *, labels: bool = True) -> list[Any]:
+    """One line for every response on its own axes, one colour for every system; the colours used."""
+    used = []
+    for k, (name, _, grid, response) in enumerate(drawn):
+        color = style.get("color", colors[k] if colors else None)
+        for i, j in np.ndindex(*response.shape[1:]):
+            own = style if color is None else {**style, "color": color}
+            (line,) = axes[i, j].plot(*curve(grid, response[:, i, j]), label=name if labels else None, **own)
+            color = line.get_color()
+        used.append(color)
+    return used
 
 
 def _decibels(response: np.ndarray) -> np.ndarray:
