@@ -1,6 +1,18 @@
-"""Small matrices on two cores: BLAS threads cost more than they bring. Must be set before NumPy is imported."""
+"""What holds for every test: BLAS on one thread, and no compiled program that outlives its file."""
 
 import os
+import sys
 
+import pytest
+
+# small matrices on two cores: BLAS threads cost more than they bring; must be set before NumPy is imported
 for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _no_program_outlives_its_file():
+    """JAX keeps every program it has compiled, 1.5 MB for the smallest: a run of all tests would take gigabytes."""
+    yield
+    if jax := sys.modules.get("jax"):
+        jax.clear_caches()

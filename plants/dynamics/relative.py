@@ -26,7 +26,7 @@ from plants.checks import Numbers, positive, real
 from plants.geometry.attitude import cross
 from plants.simulation import blocks
 from plants.surroundings import gravity
-from plants.surroundings.environment import julian, sun_position
+from plants.surroundings.environment import julian, piece, sun_position
 from plants.surroundings.gravity import Harmonics
 
 EARTH_RATE = 2 * np.pi * 1.00273781191135448 / 86400  # () rad/s  of the Earth rotation angle, IERS (2010), eq. 5.15
@@ -95,15 +95,11 @@ class Sky:
 
     def at(self, t: ArrayLike) -> SkyEnv:
         """Surroundings at t () s; all NaN outside [0, duration]."""
-        splines, t = jnp.asarray(self.splines), jnp.asarray(t)
-        place = t / self.step
-        i = jnp.clip(jnp.floor(place).astype(int), 0, splines.shape[0] - 1)
-        known = (t >= 0) & (t <= self.duration * (1 + 1e-12))
-        s, c = jnp.where(known, place - i, jnp.nan), splines[i]
+        s, c = piece(self.splines, self.step, self.duration, t)
         row = c[0] + s * (c[1] + s * (c[2] + s * c[3]))
         slope = (c[1] + s * (2 * c[2] + s * 3 * c[3])) / self.step
         spin = jnp.array([0.0, 0.0, EARTH_RATE])
-        turn = self.angle + EARTH_RATE * t
+        turn = self.angle + EARTH_RATE * jnp.asarray(t)
         pole = _about_pole(turn, row[6:9])
         return SkyEnv(
             moon=_about_pole(turn, row[0:3]),

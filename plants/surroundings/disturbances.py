@@ -7,7 +7,7 @@ Formulas: Markley and Crassidis (2014), sections 3.3.6.1 to 3.3.6.4.
 
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, Self
 
 import jax.numpy as jnp
 from jax import Array
@@ -76,10 +76,9 @@ class ResidualDipole:
         return cross(self.moment, seen.B)
 
 
-@partial(blocks.node, data_fields=["size", "mass_centre", "coefficient"], meta_fields=[])
 @dataclass(frozen=True, kw_only=True)
-class Drag:
-    """Drag of a box: the force acts along the flow, on the projected area, at the centre of the box.
+class _Box:
+    """A box on which something presses from one direction; the force acts at the centre of the box.
 
     At the centre, because face i of half-depth d_i and area A_i is hit in proportion to its direction cosine,
     and A_i d_i is the same for all three.
@@ -90,7 +89,7 @@ class Drag:
     coefficient: Numbers  # ()
 
     @classmethod
-    def create(cls, size: ArrayLike, mass_centre: ArrayLike, coefficient: ArrayLike) -> "Drag":
+    def create(cls, size: ArrayLike, mass_centre: ArrayLike, coefficient: ArrayLike) -> Self:
         """Checked box; ScenarioError for wrong shapes, NaN, negative edges or coefficient."""
         return cls(
             size=real("size", size, (3,), low=0),
@@ -98,41 +97,38 @@ class Drag:
             coefficient=real("coefficient", coefficient, low=0),
         )
 
+    def area(self, direction: Array) -> Array:
+        """Area () m^2 that a direction (3,) sees, times the length of `direction`."""
+        a = jnp.asarray(self.size)
+        return dot(jnp.stack([a[1] * a[2], a[2] * a[0], a[0] * a[1]]), jnp.abs(direction))
+
+
+@partial(blocks.node, data_fields=["size", "mass_centre", "coefficient"], meta_fields=[])
+@dataclass(frozen=True, kw_only=True)
+class Drag(_Box):
+    """Drag of a box: the force acts along the flow, on the projected area, at the centre of the box."""
+
     def torque(self, seen: Seen, inertia: Array) -> Array:
         """Torque (3,) N m."""
         del inertia
-        speed_times_area = dot(_faces(self.size), jnp.abs(seen.wind))
-        pressure = 0.5 * seen.density * self.coefficient * speed_times_area
+        pressure = 0.5 * seen.density * self.coefficient * self.area(seen.wind)
         return cross(pressure * self.mass_centre, seen.wind)
 
 
 @partial(blocks.node, data_fields=["size", "mass_centre", "coefficient"], meta_fields=[])
 @dataclass(frozen=True, kw_only=True)
-class SolarPressure:
+class SolarPressure(_Box):
     """Radiation pressure on a box, along the rays and at its centre as for `Drag`; nothing in the Earth's shadow.
 
     The coefficient is 1 for a black box and grows with reflection. The pressure is that at 1 au (true within
     3.4 % over the year).
     """
 
-    size: Numbers  # (3,) m, edges along the body axes
-    mass_centre: Numbers  # (3,) m, centre of mass from the centre of the box
-    coefficient: Numbers  # ()
-
-    @classmethod
-    def create(cls, size: ArrayLike, mass_centre: ArrayLike, coefficient: ArrayLike) -> "SolarPressure":
-        """Checked box; ScenarioError for wrong shapes, NaN, negative edges or coefficient."""
-        return cls(
-            size=real("size", size, (3,), low=0),
-            mass_centre=real("mass_centre", mass_centre, (3,)),
-            coefficient=real("coefficient", coefficient, low=0),
-        )
-
     def torque(self, seen: Seen, inertia: Array) -> Array:
         """Torque (3,) N m."""
         del inertia
-        area = dot(_faces(self.size), jnp.abs(seen.sun))
-        force = SOLAR_PRESSURE * self.coefficient * (seen.sunlit * area)  # against the direction to the Sun
+        # against the direction to the Sun
+        force = SOLAR_PRESSURE * self.coefficient * (seen.sunlit * self.area(seen.sun))
         return cross(force * self.mass_centre, seen.sun)
 
 
@@ -152,9 +148,3 @@ class ConstantTorque:
         """Torque (3,) N m."""
         del seen, inertia
         return jnp.asarray(self.vector)
-
-
-def _faces(size: ArrayLike) -> Array:
-    """Areas of the faces across the three axes, m^2."""
-    a = jnp.asarray(size)
-    return jnp.stack([a[1] * a[2], a[2] * a[0], a[0] * a[1]])

@@ -126,16 +126,24 @@ class Environment:
 
     def at(self, t: ArrayLike) -> OrbitEnv:
         """Surroundings at t () s; all NaN outside [0, duration]."""
-        splines, t = jnp.asarray(self.splines), jnp.asarray(t)
-        place = t / self.step
-        i = jnp.clip(jnp.floor(place).astype(int), 0, splines.shape[0] - 1)
-        known = (t >= 0) & (t <= self.duration * (1 + 1e-12))
-        s, c = jnp.where(known, place - i, jnp.nan), splines[i]
+        s, c = piece(self.splines, self.step, self.duration, t)
         row = c[0] + s * (c[1] + s * (c[2] + s * c[3]))
         return OrbitEnv(
             r=row[0:3], v=row[3:6], B=row[6:9], sun=row[9:12], sunlit=visible_fraction(row[12]),
             density=row[13], q_ON=row[14:18], w_ON=row[18:21],
         )  # fmt: skip
+
+
+def piece(splines: Numbers, step: float, duration: float, t: ArrayLike) -> tuple[Array, Array]:
+    """Where t () s lies in a table of cubic splines (n, 4, k): s () in [0, 1] of its interval, whose cubic is c (4, k).
+
+    The value is c[0] + s c[1] + s^2 c[2] + s^3 c[3]. Outside [0, duration] s is NaN, so that all that follows is.
+    """
+    table, t = jnp.asarray(splines), jnp.asarray(t)
+    place = t / step
+    i = jnp.clip(jnp.floor(place).astype(int), 0, table.shape[0] - 1)
+    known = (t >= 0) & (t <= duration * (1 + 1e-12))
+    return jnp.where(known, place - i, jnp.nan), table[i]
 
 
 @partial(blocks.node, data_fields=["r", "v", "q_ON"], meta_fields=[])

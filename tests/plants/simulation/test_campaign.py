@@ -6,6 +6,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flown import Pendulum, Swing
 
 from plants.errors import ScenarioError
 from plants.simulation import campaign, simulate
@@ -14,28 +15,9 @@ from plants.simulation.simulate import Loop, Scenario
 ROUNDING = 1e-12  # batches of different widths may be added up in another order
 
 
-class Swing(NamedTuple):
-    angle: float
-    rate: float
-
-
 class Draw(NamedTuple):
     length: float
     angle: float
-
-
-@dataclass(frozen=True)
-class Pendulum:
-    length: float
-
-    def derivative(self, x, u, env):
-        return Swing(x.rate, -9.81 / self.length * jnp.sin(x.angle) + u[0])
-
-    def output(self, x, env):
-        return jnp.stack([x.angle, x.rate])
-
-    def project(self, x):
-        return x
 
 
 @dataclass(frozen=True)
