@@ -7,7 +7,7 @@ argument, what was got, and what to pass instead. Nothing is clipped, rounded or
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -246,3 +246,10 @@ def as_indices(kind: str, key: Any, names: tuple[str, ...]) -> list[int]:
 def given_names(key: str, names: tuple[str, ...]) -> tuple[str, ...]:
     """Names, or numbers in the place of those that were made up."""
     return tuple(str(i) for i in range(len(names))) if names == as_names(key, (), len(names)) else names
+
+
+def as_units(units: Any) -> Mapping[str, str]:
+    """Names with their units."""
+    if not isinstance(units, Mapping) or not all(isinstance(text, str) for pair in units.items() for text in pair):
+        raise ModelError(f"units is {shown(units)}; pass names and units, {{'torque': 'N m'}}")
+    return units

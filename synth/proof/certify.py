@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from synth.checks import as_number, as_path
 from synth.errors import ModelError, VerificationError
 from synth.files import write_atomically
 from synth.proof import balls
@@ -96,7 +97,7 @@ class Certificate:
         ------
         ModelError : the file name ends otherwise.
         """
-        path = Path(path)
+        path = as_path("path", path)
         if path.suffix != ".json":
             raise ModelError(f"path ends with {path.suffix!r}; a certificate is saved as .json")
         data = {"format": FORMAT, "format_version": FORMAT_VERSION, "statement": self.statement, **asdict(self)}
@@ -110,10 +111,15 @@ class Certificate:
         ------
         ModelError : the file is no certificate or is incomplete.
         """
+        path = as_path("path", path)
         try:
-            data = json.loads(Path(path).read_text(encoding="utf-8"))
+            data = json.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise ModelError(
+                f"path {path.name!r} cannot be read ({error.strerror}); pass a file of Certificate.save"
+            ) from None
         except (UnicodeDecodeError, json.JSONDecodeError) as error:
-            raise ModelError(f"{Path(path).name} is not JSON ({error}); pass what Certificate.save wrote") from None
+            raise ModelError(f"{path.name} is not JSON ({error}); pass what Certificate.save wrote") from None
         return from_dict(data)
 
 
@@ -198,6 +204,10 @@ def certify(design: Design, *, lower: float | None = None, upper: float | None =
     `synth.proof.balls`.
     """
     started = time.perf_counter()
+    if lower is not None:
+        lower = as_number("lower", lower, "a positive level to prove that nothing reaches it", above=0)
+    if upper is not None:
+        upper = as_number("upper", upper, "a positive level to prove the controller below", above=0)
     P, K = design.plant, design.closing
     levels = [upper] if upper is not None else [design.verified_norm * (1 + m) for m in MARGINS]
     above = next(((g, found) for g in levels if (found := find_upper(P, K, g, bits))), None)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from synth.checks import as_limits
+from synth.checks import as_limits, shown
 from synth.errors import ModelError
 from synth.synthesis.design import Design
 
@@ -66,6 +66,8 @@ class AntiWindup:
         ModelError : the design is continuous or not one of `ncfsyn`, the direct term of W1 is not invertible, the
             limits have no room between them.
         """
+        if not isinstance(design, Design):
+            raise ModelError(f"design is {shown(design)}; pass a Design by ncfsyn, which has an observer inside")
         parts = design.shaping
         if parts is None:
             raise ModelError("the design has no shaping: anti-windup is for designs by ncfsyn, with an observer inside")

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from synth.checks import as_weight
+from synth.checks import as_weight, shown
 from synth.equations.riccati import closed_loop_rate, continued, discrete_stabilising, stabilising, stabilising_pair
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.regulators.quaternion import as_period
@@ -325,7 +325,14 @@ def as_gamma_factor(value: Any) -> float:
 
 
 def _linear(model: Factorisation) -> tuple[np.ndarray, np.ndarray]:
-    """A and B at the target."""
+    """A and B at the target.
+
+    Raises
+    ------
+    ModelError : the model cannot be factorised.
+    """
+    if not all(callable(getattr(model, name, None)) for name in ("target", "side", "factorise")):
+        raise ModelError(f"model is {shown(model)}; pass a model with target, side and factorise, MrpModel for example")
     with jax.enable_x64(True):
         y = jnp.asarray(model.target(), float)
         _, A, B = model.factorise(y, model.side(y))

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from synth.analysis.norms import verify
+from synth.checks import as_path
 from synth.errors import ModelError, VerificationError
 from synth.files import write_atomically
 from synth.systems.connect import series
@@ -157,7 +158,7 @@ class Design:
         ------
         ModelError : the file name ends otherwise.
         """
-        path = Path(path)
+        path = as_path("path", path)
         if path.suffix == ".json":
             return write_atomically(path, json_bytes(self))
         if path.suffix == ".mat":
@@ -181,10 +182,15 @@ class Design:
         ModelError : the file is no design, is incomplete, or its plant is not the one the hash was taken of.
         VerificationError : the loop is unstable or its norm is not the one in the file.
         """
+        path = as_path("path", path)
         try:
-            data = json.loads(Path(path).read_text(encoding="utf-8"))
+            data = json.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise ModelError(
+                f"path {path.name!r} cannot be read ({error.strerror}); pass a file of Design.save"
+            ) from None
         except (UnicodeDecodeError, json.JSONDecodeError) as error:
-            raise ModelError(f"{Path(path).name} is not JSON ({error}); pass a file written by Design.save") from None
+            raise ModelError(f"{path.name} is not JSON ({error}); pass a file written by Design.save") from None
         return from_dict(data)
 
 

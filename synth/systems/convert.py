@@ -27,6 +27,7 @@ FORMS = (
     "pass a StateSpace, a system of python-control or scipy.signal, (A, B, C, D[, dt]), (num, den[, dt]), "
     "a number or a matrix"
 )
+MATRIX = "pass a real matrix"
 KEYS = ("A", "B", "C", "D", "num", "den", "zeros", "poles", "gain", "dt")
 
 
@@ -277,17 +278,19 @@ def _at_rest(name: str, value: Any) -> Parts:
 
 def fitted(A: Any, B: Any, C: Any, D: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The matrices in two dimensions: vectors become the column or row that fits, D = 0 takes its size from B and C."""
-    D = as_array("D", D, "pass a real matrix, outputs x inputs")
-    if np.size(A) == 0:
+    A, D = as_array("A", A, "pass numbers in rows and columns", "a real matrix"), as_array("D", D, MATRIX)
+    if D.ndim > 2:
+        raise ModelError(f"D has {D.ndim} dimensions; {MATRIX}")
+    if A.size == 0:
         D = as_matrix("D", D)
-        for name, M in (("B", B), ("C", C)):
-            if np.size(M):
+        for name, M in (("B", as_array("B", B, MATRIX)), ("C", as_array("C", C, MATRIX))):
+            if M.size:
                 raise ModelError(f"{name} has entries but A has none; pass the states' matrix A")
         return np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((D.shape[0], 0)), D
     A = as_matrix("A", A)
     n = A.shape[0]
     A = as_matrix("A", A, (n, n))
-    B, C = as_array("B", B, "pass a real matrix, states x inputs"), as_array("C", C, "pass a real matrix")
+    B, C = as_array("B", B, MATRIX), as_array("C", C, MATRIX)
     B = B.reshape(n, -1) if B.ndim < 2 and B.size and B.size % n == 0 and (n == 1 or B.size == n) else B
     C = C.reshape(-1, n) if C.ndim < 2 and C.size and C.size % n == 0 and (n == 1 or C.size == n) else C
     p, m = (C.shape[0] if C.ndim == 2 else 1), (B.shape[1] if B.ndim == 2 else 1)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from synth.checks import as_matrix, as_names, as_texts, as_timebase, as_weight, as_whole, shown
+from synth.checks import as_array, as_matrix, as_names, as_texts, as_timebase, as_units, as_weight, as_whole
 from synth.errors import ModelError
 from synth.systems.connect import lft
 from synth.systems.statespace import StateSpace, as_system
@@ -56,7 +56,8 @@ class GeneralizedPlant:
             raise ModelError(
                 f"the plant has nw, nu, nz, ny = {nw}, {nu}, {nz}, {ny}; every channel needs at least one signal"
             )
-        n = np.shape(self.A)[0] if np.size(self.A) else 0
+        A = as_array("A", self.A, "pass a real matrix")
+        n = len(as_matrix("A", A)) if A.size else 0
         shapes = {"A": (n, n), "B1": (n, nw), "B2": (n, nu), "C1": (nz, n), "D11": (nz, nw)}
         shapes |= {"D12": (nz, nu), "C2": (ny, n), "D21": (ny, nw), "D22": (ny, nu)}
         for name, shape in shapes.items():
@@ -68,9 +69,7 @@ class GeneralizedPlant:
             object.__setattr__(
                 self, channel, as_names(channel, getattr(self, channel), size, f"channel {channel} has names")
             )
-        if not isinstance(self.units, Mapping):
-            raise ModelError(f"units is {shown(self.units)}; pass names and units, {{'torque': 'N m'}}")
-        unknown = set(self.units) - {*self.w, *self.u, *self.z, *self.y}
+        unknown = set(as_units(self.units)) - {*self.w, *self.u, *self.z, *self.y}
         if unknown:
             raise ModelError(f"units are given for {sorted(unknown)}, which are no channels of the plant")
         object.__setattr__(self, "units", dict(self.units))
@@ -133,7 +132,7 @@ class GeneralizedPlant:
         Wd, We, Wr = as_weight("Wdist", Wdist, q), as_weight("Werr", Werr, q), as_weight("Wr", Wr, q)
         O = np.zeros
         u, y = as_texts("u", u) or G.u, as_texts("y", y) or G.y
-        units = G.units if units is None else units
+        units = G.units if units is None else as_units(units)
         return cls(
             A=G.A,
             B1=np.hstack([O((G.n, q)), G.B @ Wp, O((G.n, q))]),

@@ -21,6 +21,7 @@ from synth.checks import (
     as_sign,
     as_texts,
     as_timebase,
+    as_units,
     as_whole,
     given_names,
     shown,
@@ -66,9 +67,7 @@ class StateSpace:
         object.__setattr__(self, "dt", as_timebase(self.dt))
         object.__setattr__(self, "u", as_names("u", self.u, self.nu))
         object.__setattr__(self, "y", as_names("y", self.y, self.ny))
-        if not isinstance(self.units, Mapping):
-            raise ModelError(f"units is {shown(self.units)}; pass names and units, {{'torque': 'N m'}}")
-        if unknown := set(self.units) - {*self.u, *self.y}:
+        if unknown := set(as_units(self.units)) - {*self.u, *self.y}:
             raise ModelError(f"units are given for {sorted(map(str, unknown))}, which are no signals of the system")
         object.__setattr__(self, "units", dict(self.units))
 
