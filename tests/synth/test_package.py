@@ -1,5 +1,6 @@
 """The package's front door: complete, and cheap to open."""
 
+import doctest
 import importlib
 import subprocess
 import sys
@@ -26,6 +27,14 @@ def test_no_module_hides_a_function_of_its_own_name():
     for name in synth.__all__:
         with pytest.raises(ModuleNotFoundError):
             importlib.import_module(f"synth.{name}")
+
+
+def test_examples_in_docstrings_are_true():
+    finder = doctest.DocTestFinder(recurse=False)
+    tests = [test for name in synth.__all__ for test in finder.find(getattr(synth, name), name) if test.examples]
+    assert len(tests) >= 2
+    for test in tests:
+        assert doctest.DocTestRunner().run(test).failed == 0, test.name
 
 
 def test_unknown_names_are_attribute_errors():
