@@ -24,7 +24,7 @@ import numpy as np
 from tqdm import tqdm
 
 from plants.errors import ScenarioError
-from plants.simulation import blocks
+from plants.simulation import blocks, programs
 from plants.simulation.loop import Actuator as Actuator
 from plants.simulation.loop import Controller as Controller
 from plants.simulation.loop import Environment as Environment
@@ -125,6 +125,7 @@ def simulate_many(
     check(loop, scenario)
     for case in cases[1:]:
         check_numbers(*case)
+    programs.make_room(_fly, _launch, _advance)
     with jax.enable_x64(True):
         if compiled is None:
             compiled = can_compile(loop, scenario)
@@ -244,9 +245,8 @@ def launch(loop: Loop, scn: Scenario, nu: tuple[int, ...]) -> Flight:
         culprit=jnp.zeros((), int),
         failed=jnp.zeros((), int),
     )
-    w = jax.tree.map(jnp.asarray, w)
     noise = None if loop.sensors is None else _noise(loop, scn, 0)[0]
-    w = observe(loop, w, env_at(scn, 0.0), noise, jnp.zeros(()))
+    w = observe(loop, jax.tree.map(jnp.asarray, w), env_at(scn, 0.0), noise, jnp.zeros(()))
     sound = _sound(scn, (w.estimate, w.navigator))
     return w._replace(culprit=jnp.where(sound, 0, CULPRITS.index("navigator")))
 

@@ -10,7 +10,7 @@ from flown import Opaque, Pendulum, Swing, cubesat, pd, scenario
 from scipy.integrate import solve_ivp
 
 from plants.errors import ScenarioError
-from plants.simulation import simulate
+from plants.simulation import programs, simulate
 from plants.simulation.simulate import Loop
 
 ROUNDING = 1e-12  # compiled against stepped: the same arithmetic in another order, contracted by the loop
@@ -157,6 +157,20 @@ def test_repeated_calls_compile_once():
     for kp in (3.0, 4.0):
         simulate.simulate(replace(loop, controller=Opaque(kp)), scn)
     assert simulate._advance._cache_size() == stepped + 1
+
+
+def test_a_long_session_keeps_some_programs_and_flies_the_same_again(monkeypatch):
+    """All of them would end the process: a flight with a filter takes 850 of the 65530 memory maps of Linux."""
+    monkeypatch.setattr(programs, "KEPT", 4)
+    loop = Loop(plant=Pendulum(), controller=pd(3.0, 1.0))
+    kept, first = [], simulate.simulate(loop, scenario(periods=4))
+    for periods in range(5, 12):
+        simulate.simulate(loop, scenario(periods=periods))
+        simulate.simulate(replace(loop, controller=Opaque(3.0)), scenario(periods=periods))
+        kept.append(sum(f._cache_size() for f in (simulate._fly, simulate._launch, simulate._advance)))
+    assert max(kept) <= 5  # a stepped flight has two
+    again = simulate.simulate(loop, scenario(periods=4))
+    np.testing.assert_array_equal(again.outputs, first.outputs)
 
 
 def test_float64_without_touching_the_flag():
