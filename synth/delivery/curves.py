@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import scipy.linalg as sla
 
 from synth.checks import as_array
 from synth.checks import shown as describe
@@ -17,6 +18,11 @@ from synth.systems.statespace import StateSpace, as_system
 POINTS = 400  # frequencies of a curve
 LIGHT = 0.3  # damping below which a resonance gets points of its own
 DECADES = 2.0  # shown below the slowest pole and, in continuous time, above the fastest
+TURN = 0.25  # |log| of the ratio of neighbouring responses above which a point is put between them
+ROUNDS = 16  # of such points
+DETOUR = 1e-5  # of its frequency: radius of the half circle round a pole or zero on the stability boundary
+UNDAMPED = 1e-9  # damping below which a zero counts as one on the boundary
+JORDAN = 1e-6  # of the norm of A: what rounding moves a double pole at most
 
 
 def loop_of(design: Design) -> StateSpace:
@@ -35,7 +41,7 @@ def shown(systems: Any, label: str | None, *, loops: bool) -> list[tuple[str | N
     """
     if isinstance(systems, Mapping) and not {"A", "num", "den", "zeros", "poles"} & {*systems}:
         named = [(str(name), system) for name, system in systems.items()]
-    elif isinstance(systems, list) and systems and not _is_matrix(systems):
+    elif _is_row(systems):
         named = [(label and f"{label} {i}", system) for i, system in enumerate(systems)]
     else:
         named = [(label, systems)]
@@ -54,9 +60,22 @@ def _as_shown(name: str | None, system: Any, loops: bool) -> StateSpace:
     return as_system(f"systems[{name!r}]" if name else "systems", system)
 
 
-def _is_matrix(value: list) -> bool:
-    """Whether a list is a matrix of numbers, that is, one gain."""
-    return all(np.isscalar(row) or (isinstance(row, list) and all(np.isscalar(x) for x in row)) for row in value)
+def _is_row(value: Any) -> bool:
+    """Whether a list or tuple holds systems: lists of numbers are gains, tuples of arrays are one system."""
+    if isinstance(value, tuple):
+        return bool(value) and not any(np.isscalar(x) or isinstance(x, list | tuple | np.ndarray) for x in value)
+    numbers = (list, np.ndarray)
+    return isinstance(value, list) and not all(
+        np.isscalar(row) or (isinstance(row, numbers) and all(np.isscalar(x) for x in row)) for row in value
+    )
+
+
+def lines_style(style: dict[str, Any]) -> dict[str, Any]:
+    """The style with matplotlib's long names: `c` is `color`, `ls` is `linestyle`."""
+    from matplotlib.cbook import normalize_kwargs
+    from matplotlib.lines import Line2D
+
+    return normalize_kwargs(style, Line2D)
 
 
 def axes_for(ax: Any, rows: int, columns: int, *, share: bool = True, size: tuple[float, float] = (6.0, 2.4)) -> Any:
@@ -75,20 +94,21 @@ def axes_for(ax: Any, rows: int, columns: int, *, share: bool = True, size: tupl
         given = np.ravel(np.asarray(ax, dtype=object))
     except Exception:  # whatever a foreign object raises
         raise ModelError(f"ax is {describe(ax)}; pass {rows * columns} axes of matplotlib") from None
-    if given.size != rows * columns or not all(hasattr(each, "plot") for each in given):
+    if not all(hasattr(each, "plot") for each in given):
+        raise ModelError(f"ax is {describe(ax)}; pass {rows * columns} axes of matplotlib")
+    if given.size != rows * columns:
         raise ModelError(f"ax holds {given.size} axes; pass {rows * columns}: {rows} rows of {columns}")
     return given.reshape(rows, columns)
 
 
 def frequencies(*systems: StateSpace) -> np.ndarray:
-    """A logarithmic grid (N,) in rad/s about the poles of all systems; up to Nyquist in discrete time."""
-    speeds = np.concatenate([_speeds(G) for G in systems])
-    speeds = speeds[speeds > 1e-9 * speeds.max(initial=0.0)]
-    low, high = (speeds.min(), speeds.max()) if speeds.size else (1.0, 1.0)
-    low, high = low * 10**-DECADES, high * 10**DECADES
-    nyquist = min((np.pi / G.dt for G in systems if G.discrete), default=np.inf)
-    high = min(high, nyquist) if np.isinf(nyquist) else nyquist
-    return np.geomspace(min(low, 1e-3 * high), high, POINTS)
+    """A logarithmic grid (N,) in rad/s about the poles of all systems; discrete ones reach to Nyquist."""
+    found = [(G, *_modes(G)) for G in systems]
+    speeds = np.concatenate([np.abs(poles)[np.abs(poles) > blur] for _, poles, blur in found])
+    speeds = np.minimum(speeds, max((_nyquist(G) for G in systems), default=np.inf))
+    slowest, fastest = (speeds.min(), speeds.max()) if speeds.size else (1.0, 1.0)
+    high = max(fastest * 10**DECADES if np.isinf(_nyquist(G)) else _nyquist(G) for G in systems)
+    return np.geomspace(min(slowest * 10**-DECADES, 1e-3 * high), high, POINTS)
 
 
 def singular_values(G: StateSpace, omega: np.ndarray) -> np.ndarray:
@@ -96,58 +116,136 @@ def singular_values(G: StateSpace, omega: np.ndarray) -> np.ndarray:
     return np.array([np.linalg.svd(G.frequency_response(w), compute_uv=False) for w in omega])
 
 
-def grid_of(systems: list[tuple[str | None, StateSpace]], omega: Any) -> np.ndarray:
-    """The frequencies asked for, or those about the poles and resonances of all systems."""
-    if omega is None:
-        grid = frequencies(*(G for _, G in systems))
-        peaks = np.concatenate([_resonances(G) for _, G in systems])
-        return np.union1d(grid, peaks[(peaks > grid[0]) & (peaks < grid[-1])])
-    grid = as_array("omega", omega, "pass frequencies in rad/s")
-    if grid.ndim != 1 or grid.size < 2 or np.any(grid <= 0) or np.any(np.diff(grid) <= 0):
-        raise ModelError(f"omega has shape {grid.shape}; pass rising frequencies above zero, in rad/s")
-    return grid
-
-
 def responses(
     systems: list[tuple[str | None, StateSpace]], omega: Any
 ) -> list[tuple[str | None, StateSpace, np.ndarray, np.ndarray]]:
-    """Label, system, frequencies (N,) and response (N, p, m) of each; discrete ones end at Nyquist."""
-    grid, found = grid_of(systems, omega), []
+    """Label, system, frequencies (N,) and response (N, p, m) of each; discrete ones end at Nyquist.
+
+    The frequencies are those asked for, with nan where a pole stands on one, or those that the curves need.
+
+    Raises
+    ------
+    ModelError : `omega` is no grid, or begins beyond the Nyquist frequency of a system.
+    """
+    if omega is None:
+        grid = frequencies(*(G for _, G in systems))
+        return [(label, G, *_curve(G, grid)) for label, G in systems]
+    grid, found = as_array("omega", omega, "pass frequencies in rad/s"), []
+    if grid.ndim != 1 or grid.size < 2 or np.any(grid <= 0) or np.any(np.diff(grid) <= 0):
+        raise ModelError(f"omega has shape {grid.shape}; pass rising frequencies above zero, in rad/s")
     for label, G in systems:
-        own = grid[grid <= np.pi / G.dt * (1 + 1e-12)] if G.discrete else grid
-        with np.errstate(all="ignore"):
-            found.append((label, G, own, _response(G, own)))
+        own = grid[grid <= _nyquist(G) * (1 + 1e-12)]
+        if not own.size:
+            raise ModelError(
+                f"omega begins at {grid[0]:g} rad/s, beyond the Nyquist frequency of the system; pass frequencies "
+                f"up to {_nyquist(G):g} rad/s"
+            )
+        found.append((label, G, own, _response(G, own)))
     return found
 
 
-def _response(G: StateSpace, grid: np.ndarray) -> np.ndarray:
-    """The response, nan where a pole stands on the very frequency."""
-    out = np.full((len(grid), G.ny, G.nu), np.nan, complex)
-    for k, w in enumerate(grid):
-        try:
-            out[k] = G.frequency_response(w)
-        except np.linalg.LinAlgError:
-            continue
+def closing(G: StateSpace, start: float) -> np.ndarray:
+    """The response (K, p, m) along the quarter circle from the real axis to `start` rad/s, right of poles at rest.
+
+    Empty when no pole is there.
+    """
+    poles, _ = _modes(G)
+    turn = np.exp(1j * np.linspace(0, np.pi / 2, 91)) if np.any(np.abs(poles) < start) else np.empty(0)
+    return _response(G, -1j * start * turn)
+
+
+def _curve(G: StateSpace, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies, dense where the response turns, and the response, with poles and zeros on the boundary passed."""
+    poles, blur = _modes(G)
+    zeros = np.concatenate([_continuous(G, G[i, j].zeros()) for i, j in np.ndindex(G.ny, G.nu)])
+    roots = np.concatenate([poles, zeros])
+    on = np.abs(np.real(roots)) <= np.concatenate([blur, UNDAMPED * np.abs(zeros)])
+    heights = np.imag(roots)
+    high = min(grid[-1], _nyquist(G))
+    extra = _resonances(roots[~on])
+    own = np.union1d(grid[grid < high], np.append(extra[(extra > grid[0]) & (extra < high)], high))
+    path = _detours(own.astype(complex), roots, on & (heights > grid[0]) & (heights <= high * (1 + 1e-9)))
+    path = path[np.real(path) <= high * (1 + 1e-12)]
+    response = _response(G, path)
+    for _ in range(ROUNDS):
+        before, after = response[:-1], response[1:]
+        sound = np.minimum(abs(before), abs(after)) > 1e-12 * np.abs(response).max()  # the rest is rounding
+        ratio = np.divide(after, before, out=np.ones_like(after), where=sound)
+        rough = np.any(np.abs(np.log(ratio)) > TURN, axis=(1, 2)) & np.isreal(path[1:]) & np.isreal(path[:-1])
+        if not rough.any():
+            break
+        between = np.sqrt(path[:-1][rough] * path[1:][rough])
+        at = np.flatnonzero(rough) + 1
+        path = np.insert(path, at, between)
+        response = np.insert(response, at, _response(G, between), axis=0)
+    return np.real(path), response
+
+
+def _detours(path: np.ndarray, roots: np.ndarray, on: np.ndarray) -> np.ndarray:
+    """The frequencies with half circles about the roots on the boundary, on the right of each, as Nyquist's contour.
+
+    There the curves are finite and their phase has no doubt: a pole turns it by -180 degrees, a zero by 180.
+    """
+    centers = np.sort(np.imag(roots[on]))
+    for center in centers[np.diff(centers, prepend=-np.inf) > DETOUR * centers]:
+        gaps = np.abs(roots - 1j * center)
+        radius = min(DETOUR * center, 0.5 * gaps[gaps > 1e-2 * DETOUR * center].min(initial=np.inf))
+        turn = np.exp(1j * np.linspace(-np.pi / 2, np.pi / 2, 41))
+        path = np.concatenate([path[np.abs(path - center) > radius], center - 1j * radius * turn])
+    return path[np.argsort(np.real(path), kind="stable")]
+
+
+def _response(G: StateSpace, omega: np.ndarray) -> np.ndarray:
+    """The response at frequencies that may be complex, right of the boundary; nan where a pole stands on one."""
+    points = np.exp(1j * omega * G.dt) if G.discrete else 1j * omega
+    poles = G.poles()
+    out = np.full((len(omega), G.ny, G.nu), complex(np.nan, np.nan))
+    for k, s in enumerate(points):
+        if np.all(np.abs(s - poles) > 1e-14 * np.abs(s)):  # else rounding decides whether it is singular
+            out[k] = G.C @ np.linalg.solve(s * np.eye(G.n) - G.A, G.B) + G.D
     return out
 
 
-def _speeds(G: StateSpace) -> np.ndarray:
-    """Natural frequencies of the poles, rad/s."""
-    poles = G.poles().astype(complex)
+def _modes(G: StateSpace) -> tuple[np.ndarray, np.ndarray]:
+    """Poles (n,) as of continuous time, rad/s, and by how much rounding may have moved each.
+
+    Wilkinson's condition numbers of the eigenvalues, bounded by what happens to double poles; so an integrator is one
+    in any coordinates.
+    """
+    if not G.n:
+        return np.empty(0, complex), np.empty(0)
+    A = np.asarray(sla.matrix_balance(G.A, permute=False)[0])
+    found: Any = sla.eig(A, left=True, right=True)
+    poles, left, right = found
+    angle = np.abs(np.sum(left.conj() * right, axis=0))
+    eps = np.finfo(float).eps
+    blur = np.linalg.norm(A, 2) * np.minimum(10 * eps / np.maximum(angle, eps), JORDAN)
     if not G.discrete:
-        return np.abs(poles)
-    poles = poles[np.abs(poles) > 1e-12]
-    return np.minimum(np.abs(np.log(poles)) / G.dt, np.pi / G.dt)
+        return poles, blur
+    sound = np.abs(poles) > 1e-12  # the others are delays
+    return _continuous(G, poles), blur[sound] / np.abs(poles[sound]) / G.dt
 
 
-def _resonances(G: StateSpace) -> np.ndarray:
-    """Frequencies about the light poles, which lie between the points of a grid, rad/s: even steps of their phase."""
-    poles = G.poles().astype(complex)
-    if G.discrete:
-        poles = np.log(poles[np.abs(poles) > 1e-12]) / G.dt
-    light = poles[(np.imag(poles) > 0) & (np.abs(np.real(poles)) < LIGHT * np.imag(poles))]
+def _continuous(G: StateSpace, roots: np.ndarray) -> np.ndarray:
+    """Poles or zeros as those of continuous time, rad/s."""
+    roots = roots.astype(complex)
+    return np.log(roots[np.abs(roots) > 1e-12]) / G.dt if G.discrete else roots
+
+
+def _nyquist(G: StateSpace) -> float:
+    return np.pi / G.dt if G.discrete else np.inf
+
+
+def _resonances(roots: np.ndarray) -> np.ndarray:
+    """Frequencies about light poles and zeros, which lie between the points of a grid: even steps of their phase."""
+    light = roots[(np.imag(roots) > 0) & (np.abs(np.real(roots)) < LIGHT * np.imag(roots))]
     turns = np.tan(np.linspace(-1.5, 1.5, 41))
     return (np.imag(light)[:, None] + np.abs(np.real(light))[:, None] * turns).ravel()
+
+
+def light_grid(ax: Any) -> None:
+    """Lines of a grid that stay behind the curves."""
+    ax.grid(True, alpha=0.3, lw=0.6)
 
 
 def nyquist_line(ax: Any, systems: list[tuple[str | None, StateSpace]]) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 import synth
 from synth import ModelError, bode, c2d, impulse, mixsyn, nichols, nyquist, pzmap, sigma, step, system
-from synth.delivery.curves import loop_of
+from synth.delivery.curves import closing, frequencies, loop_of, responses
 
 FREQUENCY = (bode, nichols, nyquist, sigma)
 PICTURES = (*FREQUENCY, step, impulse, pzmap)
@@ -158,3 +158,133 @@ def test_bad_grids_are_refused():
             bode(G, omega=grid)
     with pytest.raises(ModelError, match="time"):
         step(G, time=-1.0)
+
+
+def test_undamped_structures_have_the_phase_of_their_damped_neighbours():
+    panels = system([1, 0, 1], [1, 0, 4, 0, 0])  # rigid body with a panel: zeros at j, poles at 2 j
+    omega, phase = bode(panels)[1].lines[0].get_data()
+    for low, high, level in ((0.1, 0.99, -180), (1.01, 1.99, 0), (2.01, 20, -180)):
+        np.testing.assert_allclose(phase[(omega > low) & (omega < high)], level, atol=1e-3)
+    for discrete in (c2d(system([1], [1, 0, 4]), 0.1), system([1], [1, 1], dt=0.1)):  # the second has a pole at z = -1
+        gains = sigma(discrete).lines[0].get_ydata()
+        assert np.isfinite(gains).all()
+        assert max(gains) > 1e3
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+@pytest.mark.parametrize(
+    ("num", "den"),
+    [
+        ([1], [1, 1, 0]),  # one integrator
+        ([10], [1, 0.4, 1, 0]),  # unstable when closed
+        ([2, 1], [0.1, 1, 0, 0]),  # two integrators
+        ([1], [1, 1, 0, 0]),
+        ([1, 0.5], [1, 0.1, 4, 0.4, 0]),
+        ([0.3, 1], [1, 0, 4]),  # undamped
+        ([3], [1, -1]),  # unstable plant
+    ],
+)
+def test_turns_round_minus_one_count_unstable_closed_loop_poles(num, den, dt):
+    L = system(num, den) if not dt else c2d(system(num, den), dt)
+    ((_, _, grid, response),) = responses([(None, L)], None)
+    half = 1 + np.append(closing(L, grid[0])[:, 0, 0], response[:, 0, 0])  # the other half is its mirror image
+    turns = np.unwrap(np.angle(half))
+    closed = synth.feedback(L, 1).poles()
+    outside, boundary = (np.abs, 1.0) if dt else (np.real, 0.0)
+    unstable = [np.sum(outside(poles) > boundary + 1e-6) for poles in (closed, L.poles())]
+    assert (turns[0] - turns[-1]) / np.pi == pytest.approx(unstable[0] - unstable[1], abs=0.05)
+
+
+def test_curves_that_go_far_close_on_a_circle():
+    ax = nyquist({"integrator": system([1], [1, 1, 0]), "lag": system([5], [1, 1])})
+    far = np.array(ax.lines[4].get_xydata())
+    angles = np.degrees(np.angle(far[:, 0] + 1j * far[:, 1]))
+    sound = np.isfinite(angles)
+    np.testing.assert_allclose(np.hypot(*far[sound].T), 3.0)
+    assert angles[sound].max() == pytest.approx(0, abs=1e-9)  # from the real axis
+    assert angles[sound].min() < -90  # to the curve
+    assert np.isfinite(ax.lines[5].get_xdata()).any()  # the lag, beside it, closes too
+    assert len(nyquist(system([5], [1, 1])).lines) == 4  # alone it is shown whole: two halves, the unit circle, -1
+
+
+def test_the_range_of_frequencies_does_not_depend_on_coordinates():
+    G = system([1], [1, 1, 0, 0])
+    T = np.random.default_rng(3).normal(size=(3, 3))
+    np.testing.assert_allclose(frequencies(G.transform(T)), frequencies(G), rtol=1e-6)
+
+
+def test_each_sampling_time_ends_at_its_own_nyquist_frequency():
+    lag = system([1], [1, 1])
+    gain, _ = bode({"continuous": lag, "fast": c2d(lag, 0.1), "slow": c2d(lag, 1.0)})
+    ends = [line.get_xdata()[-1] for line in gain.lines]
+    np.testing.assert_allclose(ends, [100.0, np.pi / 0.1, np.pi], rtol=1e-9)
+
+
+def test_notches_and_ends_have_no_corners():
+    for discrete in (c2d(system([1], [1, 0.4, 1]), 0.5), c2d(system([1, 2e-3, 1], [1, 2, 1]), 0.1)):
+        phase = bode(discrete)[1].lines[0].get_ydata()
+        assert np.abs(np.diff(phase)).max() < 15
+
+
+def test_a_given_grid_on_a_pole_leaves_a_gap():
+    undamped = system([[0, 1], [-1, 0]], [0, 1], [1, 0], 0)
+    for picture in FREQUENCY:
+        line = np.ravel(picture(undamped, omega=[0.5, 1.0, 2.0]))[0].lines[0]
+        assert np.isnan(line.get_ydata()).tolist() == [False, True, False]
+    with pytest.raises(ModelError, match=r"beyond the Nyquist frequency .* up to 31\.4"):
+        bode(c2d(G, 0.1), omega=[100.0, 200.0])
+
+
+@pytest.mark.parametrize("level", [-12, -3, 1, 6])
+def test_lines_of_the_nichols_picture_are_levels_of_the_closed_loop(level):
+    ax = nichols(system([1], [1, 1]))
+    found = []
+    for line in ax.lines:
+        if line.get_gid() == "closed loop":
+            phase, gain = line.get_data()
+            L = 10 ** (gain / 20) * np.exp(1j * np.radians(phase))
+            levels = 20 * np.log10(np.abs(L / (1 + L)))
+            assert np.ptp(levels) < 1e-9
+            found.append(levels.mean())
+    assert min(abs(np.array(found) - level)) < 1e-9
+    count = len(ax.texts)
+    nichols(system([1], [1, 3, 3, 1, 0, 0]), ax)  # goes to -450 degrees
+    assert ax.get_xlim()[0] < -390
+    assert len(ax.texts) == count
+
+
+def test_slow_modes_that_are_hardly_seen_do_not_stretch_time(design):
+    loop, controller = (np.ravel(step(each))[0].lines[0].get_xdata() for each in (design, design.controller))
+    assert loop[-1] < 5.0  # s: the loop answers in tenths, though the weight forgets in a thousand
+    np.testing.assert_array_equal(controller, design.controller.step_response().time)  # here the slow mode is seen
+    fast = system(([1], [0.01, 1])) + 1e-4 * system(([1], [100, 1]))
+    line = step(fast).lines[0]
+    assert 0.05 < line.get_xdata()[-1] < 0.3
+    assert line.get_ydata()[-1] == pytest.approx(1.0, abs=0.01)
+
+
+def test_rounding_does_not_make_the_scale_of_a_pole_map():
+    ax = pzmap(system([1, 0, 1], [1, 0, 4, 0, 0]))
+    assert ax.get_xlim()[0] < -0.2
+    assert ax.get_xlim()[1] > 0.2
+    with pytest.raises(ModelError, match="different planes"):
+        pzmap([G, c2d(G, 0.1)])
+
+
+@pytest.mark.parametrize("picture", PICTURES)
+def test_styles_by_their_short_and_long_names(picture):
+    for style in ({"c": "red", "lw": 3}, {"color": "red", "linewidth": 3}):
+        line = np.ravel(picture(TWO, **style))[-1].lines[0]
+        assert (line.get_color(), line.get_linewidth()) == ("red", 3)
+    line = np.ravel(picture(G, linestyle="-.", marker="s"))[0].lines[0]
+    assert (line.get_linestyle(), line.get_marker()) == ("-.", "s")
+
+
+@pytest.mark.parametrize("picture", PICTURES)
+def test_tuples_of_systems_and_of_matrices(picture, design):
+    several = np.ravel(picture((G, control.tf([1], [1, 1])), label="G"))[0]
+    assert [line.get_label() for line in several.lines if line.get_label().startswith("G")] == ["G 0", "G 1"]
+    one, reference = np.ravel(picture(([1], [1, 1])))[0], np.ravel(picture(system([1], [1, 1])))[0]
+    np.testing.assert_array_equal(one.lines[0].get_xydata(), reference.lines[0].get_xydata())
+    with pytest.raises(ModelError, match="ax is 5; pass"):
+        picture(G, 5)
