@@ -162,7 +162,7 @@ def _curve(G: StateSpace, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     on = np.abs(np.real(roots)) <= np.concatenate([blur, UNDAMPED * np.abs(zeros)])
     heights = np.imag(roots)
     high = min(grid[-1], _nyquist(G))
-    extra = _resonances(roots[~on])
+    extra = _resonances(poles[~on[: len(poles)]])
     own = np.union1d(grid[grid < high], np.append(extra[(extra > grid[0]) & (extra < high)], high))
     path = _detours(own.astype(complex), roots, on & (heights > grid[0]) & (heights <= high * (1 + 1e-9)))
     path = path[np.real(path) <= high * (1 + 1e-12)]
@@ -190,7 +190,7 @@ def _detours(path: np.ndarray, roots: np.ndarray, on: np.ndarray) -> np.ndarray:
     for center in centers[np.diff(centers, prepend=-np.inf) > DETOUR * centers]:
         gaps = np.abs(roots - 1j * center)
         radius = min(DETOUR * center, 0.5 * gaps[gaps > 1e-2 * DETOUR * center].min(initial=np.inf))
-        turn = np.exp(1j * np.linspace(-np.pi / 2, np.pi / 2, 41))
+        turn = np.exp(1j * np.linspace(-np.pi / 2, np.pi / 2, 21))
         path = np.concatenate([path[np.abs(path - center) > radius], center - 1j * radius * turn])
     return path[np.argsort(np.real(path), kind="stable")]
 
@@ -236,9 +236,9 @@ def _nyquist(G: StateSpace) -> float:
     return np.pi / G.dt if G.discrete else np.inf
 
 
-def _resonances(roots: np.ndarray) -> np.ndarray:
-    """Frequencies about light poles and zeros, which lie between the points of a grid: even steps of their phase."""
-    light = roots[(np.imag(roots) > 0) & (np.abs(np.real(roots)) < LIGHT * np.imag(roots))]
+def _resonances(poles: np.ndarray) -> np.ndarray:
+    """Frequencies about the light poles, which lie between the points of a grid: even steps of their phase."""
+    light = poles[(np.imag(poles) > 0) & (np.abs(np.real(poles)) < LIGHT * np.imag(poles))]
     turns = np.tan(np.linspace(-1.5, 1.5, 41))
     return (np.imag(light)[:, None] + np.abs(np.real(light))[:, None] * turns).ravel()
 
