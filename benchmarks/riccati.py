@@ -26,7 +26,7 @@ from literature import cubesat_pecorilla2024, mass_spring_chain
 
 from synth import GeneralizedPlant, StateSpace, hinfnorm, verify
 from synth.analysis.precondition import precondition
-from synth.synthesis.hinf_riccati import RiccatiRoute
+from synth.equations.hinf_riccati import RiccatiRoute
 
 
 def design(P: GeneralizedPlant) -> tuple[list[float], float, float]:

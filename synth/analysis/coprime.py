@@ -5,9 +5,7 @@ With R = I + D D', S = I + D'D and Ab = A - B S^-1 D'C the control solution X an
     continuous   Ab'X + X Ab - X B S^-1 B'X + C'R^-1 C = 0,   Ab Z + Z Ab' - Z C'R^-1 C Z + B S^-1 B' = 0
     discrete     X = Ab'X (I + B S^-1 B'X)^-1 Ab + C'R^-1 C,  Z = Ab Z (I + C'R^-1 C Z)^-1 Ab' + B S^-1 B'
 
-The Cayley map keeps both, so that only the discrete equations are solved. Its rate decides the accuracy: the
-fastest pole of the loop these solutions close (a stable eigenvalue of the Hamiltonian matrix), never a pole of the
-plant, which may be slower by orders of magnitude.
+The Cayley map keeps both, so that only the discrete equations are solved (`synth.systems.sampled` says at which rate).
 
 References: Glover and McFarlane (1989), IEEE TAC 34, 821, equations (6) to (11) of the common notation with D;
 Zhou, Doyle and Glover (1996), Robust and Optimal Control, section 13.8; Jonckheere and Silverman (1983), IEEE TAC
@@ -26,11 +24,10 @@ from synth.checks import as_sign
 from synth.equations.doubling import Riccati, is_nonnegative, is_positive, solve_riccati
 from synth.errors import NumericalError
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.sampled import cayley
+from synth.systems.sampled import loop_rate, on_circle
 from synth.systems.statespace import StateSpace, as_system, as_systems, check_loop
 
 NEGLIGIBLE = 1e-8  # of the largest LQG singular value; below it they are rounding
-APART = 0.1  # relative distance of the Cayley rate from every pole
 
 
 class Solutions(NamedTuple):
@@ -95,27 +92,6 @@ def gang_of_four(G: Any) -> GeneralizedPlant:
     )
 
 
-def closed_loop_moduli(G: StateSpace) -> np.ndarray:
-    """Moduli of the LQG poles of a continuous system, each twice, (2n,) rad/s: eigenvalues of the Hamiltonian."""
-    S, R = np.eye(G.nu) + G.D.T @ G.D, np.eye(G.ny) + G.D @ G.D.T
-    Ab = G.A - G.B @ np.linalg.solve(S, G.D.T @ G.C)
-    H = np.block([[Ab, -G.B @ np.linalg.solve(S, G.B.T)], [-G.C.T @ np.linalg.solve(R, G.C), -Ab.T]])
-    return np.abs(np.linalg.eigvals(H))
-
-
-def discretised(rate: float, *systems: StateSpace) -> list[StateSpace]:
-    """Discrete systems as they are, continuous ones by one Cayley map at about `rate` rad/s: same norms, X and Z."""
-    poles = np.concatenate([G.poles() for G in systems])
-    while poles.size and np.abs(poles - rate).min() < APART * rate:
-        rate *= 1 + 2 * APART
-    return [G if G.discrete else cayley(G, rate) for G in systems]
-
-
-def fastest(G: StateSpace) -> float:
-    """Modulus of the fastest LQG pole of a continuous system, rad/s; 1 without states."""
-    return float(closed_loop_moduli(G).max(initial=0.0)) or 1.0
-
-
 def transpose(G: StateSpace) -> StateSpace:
     """The dual system, whose transfer matrix is the transpose."""
     return StateSpace(G.A.T, G.C.T, G.B.T, G.D.T, G.dt)
@@ -128,7 +104,7 @@ def solutions(G: StateSpace) -> Solutions:
     ------
     NumericalError : an equation was not solved.
     """
-    (H,) = discretised(fastest(G), G)
+    (H,) = on_circle(loop_rate(G), G)
     control, filtering = control_solution(H), control_solution(transpose(H))
     return Solutions(control.X, filtering.X, max(control.residual, filtering.residual))
 

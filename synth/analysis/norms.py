@@ -14,23 +14,31 @@ Systems & Control Letters 15, 1; bounded real lemma: de Souza and Xie (1992), Sy
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
-from scipy.optimize import minimize_scalar
 
+from synth.analysis.truncation import balanced_truncation
 from synth.checks import as_number
+from synth.equations.doubling import bounded_real
 from synth.errors import NumericalError, VerificationError
 from synth.systems.realization import balanced
-from synth.systems.sampled import cayley, cayley_rate
+from synth.systems.sampled import cayley, pole_rate
 from synth.systems.statespace import StateSpace, as_system
 from synth.threads import one_thread
 
 CONFIRM = (*(10.0**k for k in range(-7, 9)),)  # relative margins at which the second method confirms the first
 ROUNDOFF = 1e-9  # a norm below this part of the closed loop's own entries is reported as this part
+NEGLIGIBLE = 1e-8  # of the norm: what states that hardly matter may have in it
+LARGE = 60  # states from which on the level-set method is left out where the bounded-real equation confirms a climb
+CLIMBS = 6  # local maxima that are climbed then
+GOLDEN = (np.sqrt(5) - 1) / 2
 NEAR_CIRCLE = 1e-4  # an eigenvalue this near the unit circle is a candidate crossing; candidates are then evaluated
+
+Gain = Callable[[float], float]  # largest singular value by the angle on the unit circle
 
 
 def spectral_radius(A: np.ndarray) -> float:
@@ -83,8 +91,8 @@ def hinfnorm(system: Any, tol: float = 1e-7) -> tuple[float, float]:
     if G.discrete:
         norm, theta = _peak(balance(G), tol)
         return norm, theta / G.dt
-    rate = cayley_rate(G)
-    norm, theta = _peak(balance(cayley(balance(G), rate)), tol)
+    rate = pole_rate(G)
+    norm, theta = _peak(balance(cayley(G, rate)), tol)
     return norm, float(rate * np.tan(theta / 2))
 
 
@@ -113,21 +121,27 @@ def verify(system: Any) -> Verification:
         what = "spectral radius" if G.discrete else "largest real part of a pole"
         raise VerificationError(f"the closed loop is unstable: {what} {radius:.9g}")
     peak, frequency = hinfnorm(G)
-    H = balance(G) if G.discrete else balance(cayley(balance(G), cayley_rate(G)))
+    H = balance(G) if G.discrete else balance(cayley(G, pole_rate(G)))
     entries = np.linalg.norm(H.D, 2) + np.linalg.norm(H.C, 2) * np.linalg.norm(H.B, 2)
     norm = confirm(H, max(peak, ROUNDOFF * float(entries)))
     return Verification(radius, norm, peak, frequency)
 
 
 def confirm(G: StateSpace, peak: float) -> float:
-    """Smallest level above `peak` at which the bounded-real Riccati equation of a stable discrete G has a solution."""
-    from synth.equations.doubling import bounded_real
+    """Smallest level above `peak` at which the bounded-real Riccati equation of a stable discrete G has a solution.
 
+    Where that is not close above, as with poles that zeros nearly cancel, the equation is solved without the states
+    that hardly matter, and their share is added.
+    """
     if peak == 0:
         return 0.0
+    if bounded_real(G, peak * (1 + CONFIRM[0])) is not None:
+        return float(peak * (1 + CONFIRM[0]))
+    reduced, share = balanced_truncation(G, NEGLIGIBLE * peak)
     for margin in CONFIRM:
-        if bounded_real(G, peak * (1 + margin)) is not None:
-            return float(peak * (1 + margin))
+        for H, added in ((reduced, share), (G, 0.0)):
+            if bounded_real(H, peak * (1 + margin)) is not None:
+                return float(peak * (1 + margin) + added)
     raise VerificationError(
         f"the level-set method finds a norm of {peak:.6g}, the bounded-real Riccati equation has no solution "
         f"even {CONFIRM[-1]:.0e} times above it: the closed loop is too ill-conditioned to be judged"
@@ -140,33 +154,54 @@ def _peak(G: StateSpace, tol: float) -> tuple[float, float]:
         return float(np.linalg.norm(G.D, 2)), 0.0
     gain = _gain(G)
     poles = G.poles()
-    angles = np.concatenate([np.abs(np.angle(poles)), np.geomspace(1e-5, np.pi, 40), [0.0, np.pi]])
-    values = [gain(t) for t in angles]
+    angles = np.unique(np.concatenate([np.abs(np.angle(poles)), np.geomspace(1e-5, np.pi, 40), [0.0, np.pi]]))
+    values = np.array([gain(t) for t in angles])
     best = int(np.argmax(values))
-    level, angle = values[best], float(angles[best])
+    level, angle = float(values[best]), float(angles[best])
     if level == 0.0:
         return 0.0, 0.0
+    if G.n >= LARGE:  # the pencil is dear: climb first, and leave it if the Riccati equation says that this is the top
+        level, angle = _highest(gain, angles, values)
+        if bounded_real(G, level * (1 + CONFIRM[0])) is not None:
+            return level, angle
     for _ in range(60):
         crossings = _crossings(G, level * (1 + tol))
         middles = np.concatenate([(crossings[1:] + crossings[:-1]) / 2, crossings])
         values = [gain(t) for t in middles]
         if not values or max(values) <= level * (1 + tol):
-            return _polish(gain, angle, level)
+            width = max(1e-4 * angle, 1e-9)
+            return max((level, angle), _climb(gain, max(angle - width, 0.0), min(angle + width, np.pi)))
         best = int(np.argmax(values))
         level, angle = values[best], float(middles[best])
     raise NumericalError("the level-set iteration for the H-infinity norm did not end in 60 steps")
 
 
-def _polish(gain, angle: float, level: float) -> tuple[float, float]:
-    """Climb from a point that is already on top to its local maximum."""
-    width = max(1e-4 * angle, 1e-9)
-    found = minimize_scalar(
-        lambda t: -gain(t), bounds=(max(angle - width, 0.0), min(angle + width, np.pi)), method="bounded"
-    )
-    return (-float(found.fun), float(found.x)) if -found.fun > level else (float(level), angle)
+def _highest(gain: Gain, angles: np.ndarray, values: np.ndarray) -> tuple[float, float]:
+    """The highest of the local maxima of the gain near the largest of its sorted samples."""
+    padded = np.concatenate([[-np.inf], values, [-np.inf]])
+    tops = np.flatnonzero((values >= padded[:-2]) & (values >= padded[2:]))
+    tops = sorted(tops, key=lambda i: -values[i])[:CLIMBS]
+    last = len(angles) - 1
+    return max(_climb(gain, angles[max(i - 1, 0)], angles[min(i + 1, last)]) for i in tops)
 
 
-def _gain(G: StateSpace):
+def _climb(gain: Gain, low: float, high: float) -> tuple[float, float]:
+    """The local maximum of the gain in an interval of angles, and where it is, by golden section."""
+    a, b = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+    fa, fb = gain(a), gain(b)
+    while high - low > 1e-9 * high:
+        if fa > fb:
+            high, b, fb = b, a, fa
+            a = high - GOLDEN * (high - low)
+            fa = gain(a)
+        else:
+            low, a, fa = a, b, fb
+            b = low + GOLDEN * (high - low)
+            fb = gain(b)
+    return max((fa, float(a)), (fb, float(b)))
+
+
+def _gain(G: StateSpace) -> Gain:
     """The function angle -> largest singular value of G(e^{j angle}); one Schur form serves every frequency."""
     T, Z = sla.schur(G.A.astype(complex), output="complex")[:2]
     ZB, CZ, eye = Z.conj().T @ G.B, G.C @ Z, np.eye(G.n)

@@ -17,12 +17,11 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg as sla
 
-from synth.equations.doubling import Riccati, is_nonnegative, is_positive, solve_riccati
+from synth.equations.doubling import regularised_lqr
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace
 
-REGULARISATIONS = (1e-4, 1e-3, 1e-2, 1e-1)  # of LQR and Kalman, relative to the balanced plant
 FLOOR = 1e-8  # relative, on the singular values of the state transform
 BOUNDARY = 1e-12  # modes this close to the stability boundary count as not stable
 LOST = 1e-13  # relative distance to a loss of rank, per state, that rounding explains
@@ -124,39 +123,6 @@ def precondition(P: GeneralizedPlant) -> Conditioned:
         plant=_transformed(S, third), scale=level / (first.w * first.z), T=first.T @ T,
         Su=first.Su @ second.Su * r, Sy=r * second.Sy @ first.Sy, D22=P.D22,
     )  # fmt: skip
-
-
-def regularised_lqr(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, assumption: str) -> Riccati:
-    """LQR of |C x + D u|^2 with the smallest regularisation of x and u for which a stabilising gain is found.
-
-    Parameters
-    ----------
-    A : (n, n); B : (n, m); C : (p, n); D : (p, m)
-    assumption : what the error names
-
-    Raises
-    ------
-    NumericalError : none of the regularisations led to one.
-    """
-    n, m = B.shape
-    size = _stack(C, D) or 1.0
-    Q, R, S = C.T @ C, D.T @ D, C.T @ D
-    for epsilon in REGULARISATIONS:
-        e = (epsilon * size) ** 2
-        Qe, Re = Q + e * np.eye(n), R + e * np.eye(m)
-        solution = solve_riccati(A, B, Qe, Re, S)
-        if solution is None:
-            try:
-                X = sla.solve_discrete_are(A, B, Qe, Re, s=S)
-            except (np.linalg.LinAlgError, ValueError):
-                continue
-            solution = solve_riccati(A, B, Qe, Re, S, start=X)
-        if solution and is_positive(solution.R) and is_nonnegative(solution.X) and _radius(A + B @ solution.F) < 1:
-            return solution
-    raise NumericalError(
-        f"no stabilising gain was found: {assumption} holds so weakly that double precision cannot use it; "
-        "rescale the model or strengthen the weakest actuator or sensor"
-    )
 
 
 class _Coordinates(NamedTuple):

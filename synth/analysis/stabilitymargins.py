@@ -16,6 +16,7 @@ Skogestad and Postlethwaite (2005), Multivariable Feedback Control, section 2.4.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,13 +29,16 @@ from synth.analysis.norms import balance, hinfnorm, is_stable
 from synth.checks import as_sign
 from synth.errors import ModelError
 from synth.systems.connect import delayed, feedback, lft, series
-from synth.systems.sampled import cayley, cayley_rate
+from synth.systems.sampled import cayley, loop_rate
 from synth.systems.statespace import StateSpace, as_system, as_systems, check_loop
 
 NEAR_CIRCLE = 1e-4  # an eigenvalue this near the unit circle is a candidate; candidates are then polished
 REAL = 1e-6  # |Im L| / |L| up to which a polished candidate counts as real
 NEGLIGIBLE = 1e-9  # a gain below this, or above its inverse, is no limit: poles and zeros on the boundary show there
 UNIT = 1e-6  # distance of |L| from one up to which a polished candidate counts as a crossing
+
+
+Response = Callable[[float], complex]  # of a loop of one signal, by the angle on the unit circle
 
 
 @dataclass(frozen=True)
@@ -131,14 +135,14 @@ def margin(L: Any, sign: int = -1) -> Margin:
         raise ModelError(f"L is {G.ny} x {G.nu}; gain and phase margins are of one signal: see `margins`, `diskmargin`")
     if not _closed_loop_stable(G):
         return Margin(1.0, 1.0, 0.0, 0.0, np.nan, np.nan, np.nan)
-    H, to_frequency = _on_circle(G)
-    up, down, at_gain = _gain_margins(H)
-    crossings = [(angle, np.angle(-_response(H, angle))) for angle in _unit_crossings(H)]
+    H, response, to_frequency = _on_circle(G)
+    up, down, at_gain = _gain_margins(H, response)
+    crossings = [(angle, np.angle(-response(angle))) for angle in _unit_crossings(H, response)]
     phase, at_phase = min(((abs(phi), angle) for angle, phi in crossings), default=(np.pi, np.nan))
     lags = [(float(phi % (2 * np.pi)) / to_frequency(angle), angle) for angle, phi in crossings if angle > 0]
     if not G.discrete and abs(G.D[0, 0]) > 1:  # at ever higher frequencies a delay, however short, turns L to -1
         lags.append((0.0, np.pi))
-    if G.discrete and abs(_response(H, np.pi)) > 1:  # likewise, with more and more samples
+    if G.discrete and abs(response(np.pi)) > 1:  # likewise, with more and more samples
         lags.append((_samples_borne(G, min(lags, default=(np.inf,))[0] / G.dt) * G.dt, np.pi))
     delay, at_delay = min(lags, default=(np.inf, np.nan))
     frequencies = (float(to_frequency(angle)) for angle in (at_gain, at_phase, at_delay))
@@ -221,27 +225,35 @@ def _closed_loop_stable(L: StateSpace) -> bool:
     return is_stable(feedback(L, StateSpace.gain(np.eye(L.nu), L.dt)))
 
 
-def _on_circle(L: StateSpace):
-    """The loop in discrete time, balanced, and the map from angles to frequencies in rad/s."""
+def _on_circle(L: StateSpace) -> tuple[StateSpace, Response, Callable[[float], float]]:
+    """The loop in discrete time, balanced; its response by angle, of the given system itself; angle to rad/s."""
+    given = balance(L)
     if L.discrete:
-        return balance(L), lambda angle: angle / L.dt
-    rate = cayley_rate(L)
-    return balance(cayley(balance(L), rate)), lambda angle: np.inf if angle >= np.pi else rate * np.tan(angle / 2)
+        return given, lambda angle: _response(given, np.exp(1j * angle)), lambda angle: angle / L.dt
+    rate = loop_rate(given)
+
+    def to_frequency(angle: float) -> float:
+        return np.inf if angle >= np.pi else rate * np.tan(angle / 2)
+
+    def response(angle: float) -> complex:
+        return complex(L.D[0, 0]) if angle >= np.pi else _response(given, 1j * to_frequency(angle))
+
+    return balance(cayley(given, rate)), response, to_frequency
 
 
-def _response(L: StateSpace, angle: float) -> complex:
-    """L at exp(j angle); a pole there is a gain without bound."""
+def _response(L: StateSpace, s: complex) -> complex:
+    """L at s or z; a pole there is a gain without bound."""
     try:
-        return complex((L.C @ np.linalg.solve(np.exp(1j * angle) * np.eye(L.n) - L.A, L.B) + L.D)[0, 0])
+        return complex((L.C @ np.linalg.solve(s * np.eye(L.n) - L.A, L.B) + L.D)[0, 0])
     except np.linalg.LinAlgError:
         return complex(np.inf)
 
 
-def _gain_margins(L: StateSpace) -> tuple[float, float, float]:
+def _gain_margins(L: StateSpace, response: Response) -> tuple[float, float, float]:
     """Largest and smallest gain around one, and the angle of the nearer in decibels."""
     found = []
-    for angle in _real_crossings(L):
-        value = _response(L, angle)
+    for angle in _real_crossings(L, response):
+        value = response(angle)
         if np.isfinite(value) and value.real < 0 and abs(value.imag) <= REAL * abs(value):
             found.append((-1 / value.real, angle))
     ups, downs = [f for f in found if 1 < f[0] < 1 / NEGLIGIBLE], [f for f in found if NEGLIGIBLE < f[0] < 1]
@@ -250,7 +262,7 @@ def _gain_margins(L: StateSpace) -> tuple[float, float, float]:
     return float(up[0]), float(down[0]), float(nearer[1])
 
 
-def _real_crossings(L: StateSpace) -> list[float]:
+def _real_crossings(L: StateSpace, response: Response) -> list[float]:
     """Angles at which L is real: 0, pi, and the unit zeros of L - L~."""
     O = np.zeros
     M = np.block([
@@ -263,10 +275,10 @@ def _real_crossings(L: StateSpace) -> list[float]:
         [O((L.n, L.n)), -L.A.T, O((L.n, 1))],
         [O((1, L.n)), L.B.T, O((1, 1))],
     ])  # fmt: skip
-    return [0.0, np.pi, *_polished(_unit_angles(M, N), lambda angle: _response(L, angle).imag)]
+    return [0.0, np.pi, *_polished(_unit_angles(M, N), lambda angle: response(angle).imag)]
 
 
-def _unit_crossings(L: StateSpace) -> list[float]:
+def _unit_crossings(L: StateSpace, response: Response) -> list[float]:
     """Angles at which |L| is one."""
     n, m = L.n, 1
     M = np.block([
@@ -279,8 +291,8 @@ def _unit_crossings(L: StateSpace) -> list[float]:
         [np.zeros((n, n)), -L.A.T, np.zeros((n, m))],
         [np.zeros((m, n)), -L.B.T, np.zeros((m, m))],
     ])  # fmt: skip
-    angles = [0.0, np.pi, *_polished(_unit_angles(M, N), lambda angle: abs(_response(L, angle)) - 1)]
-    return [angle for angle in angles if abs(abs(_response(L, angle)) - 1) <= UNIT]
+    angles = [0.0, np.pi, *_polished(_unit_angles(M, N), lambda angle: abs(response(angle)) - 1)]
+    return [angle for angle in angles if abs(abs(response(angle)) - 1) <= UNIT]
 
 
 def _unit_angles(M: np.ndarray, N: np.ndarray) -> np.ndarray:

@@ -15,11 +15,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import scipy.linalg as sla
 
+from synth.errors import NumericalError
 from synth.systems.statespace import StateSpace
 
 MAX_STEPS = 50  # 2^50 samples: slower convergence than that is a mode on the unit circle
 CONVERGED = 1e-8  # the next step squares it
+REGULARISATIONS = (1e-4, 1e-3, 1e-2, 1e-1)  # of LQR and Kalman, relative to the size of the cost
 FINAL_RESIDUAL = 1e-7  # relative; a solution worse than this is no solution
 
 
@@ -82,13 +85,47 @@ def solve_riccati(
         if step is None:
             break
         X = _symmetric(X + step)
-        solution = _evaluate(A, B, Q, R, S, X)
+        solution = evaluate(A, B, Q, R, S, X)
         if solution is None or (best is not None and solution.residual > 0.5 * best.residual):
             break
         best = solution
         if best.residual < 1e-14:
             break
     return best if best is not None and best.residual < FINAL_RESIDUAL else None
+
+
+def regularised_lqr(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, assumption: str) -> Riccati:
+    """LQR of |C x + D u|^2 with the smallest regularisation of x and u for which a stabilising gain is found.
+
+    Parameters
+    ----------
+    A : (n, n); B : (n, m); C : (p, n); D : (p, m)
+    assumption : what the error names
+
+    Raises
+    ------
+    NumericalError : none of the regularisations led to one.
+    """
+    n, m = B.shape
+    size = float(np.hypot(np.linalg.norm(C), np.linalg.norm(D))) or 1.0
+    Q, R, S = C.T @ C, D.T @ D, C.T @ D
+    for epsilon in REGULARISATIONS:
+        e = (epsilon * size) ** 2
+        Qe, Re = Q + e * np.eye(n), R + e * np.eye(m)
+        solution = solve_riccati(A, B, Qe, Re, S)
+        if solution is None:
+            try:
+                X = sla.solve_discrete_are(A, B, Qe, Re, s=S)
+            except (np.linalg.LinAlgError, ValueError):
+                continue
+            solution = solve_riccati(A, B, Qe, Re, S, start=X)
+        if solution and is_positive(solution.R) and is_nonnegative(solution.X):
+            if np.abs(np.linalg.eigvals(A + B @ solution.F)).max(initial=0.0) < 1:
+                return solution
+    raise NumericalError(
+        f"no stabilising gain was found: {assumption} holds so weakly that double precision cannot use it; "
+        "rescale the model or strengthen the weakest actuator or sensor"
+    )
 
 
 def bounded_real(G: StateSpace, gamma: float) -> np.ndarray | None:
@@ -148,8 +185,8 @@ def _shifted(A, B, Q, R, S, Xs) -> np.ndarray | None:
         return double(A - B @ F, _symmetric(G), _symmetric(Qs - Ss @ F))
 
 
-def _evaluate(A, B, Q, R, S, X) -> Riccati | None:
-    """Feedback and relative residual of a candidate."""
+def evaluate(A, B, Q, R, S, X) -> Riccati | None:
+    """Feedback and relative residual of a candidate X; None where R + B'X B is singular."""
     RX, SX = R + B.T @ X @ B, S + A.T @ X @ B
     try:
         F = -np.linalg.solve(RX, SX.T)

@@ -23,12 +23,12 @@ from flint import arb, ctx
 
 from synth.analysis.precondition import Conditioned, precondition
 from synth.equations.doubling import bounded_real, double, solve_riccati
+from synth.equations.hinf_riccati import RiccatiRoute
 from synth.errors import NumericalError
 from synth.proof import balls
 from synth.proof.balls import Coupling, Impulse, LowerWitness, Step, UpperWitness
-from synth.synthesis.hinf_riccati import RiccatiRoute
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.sampled import cayley_rate, discretised
+from synth.systems.sampled import design_rate, discretised, pole_rate
 from synth.systems.statespace import StateSpace
 
 DISTANCES = (
@@ -49,7 +49,7 @@ MAX_POLICIES = 30
 
 def find_upper(P: GeneralizedPlant, K: StateSpace, level: float, bits: int) -> UpperWitness | None:
     """Coordinates that prove a norm below `level`, or None when none were found."""
-    rate = 0.0 if P.dt else cayley_rate(P.close(K))
+    rate = 0.0 if P.dt else pole_rate(P.close(K))
     with ctx.workprec(bits):
         G = balls.closed_loop(P, K, rate)
         T0 = _scales(*(balls.rounded(M) for M in (G.A, G.B, G.C)))
@@ -119,11 +119,12 @@ def find_lower(
     P: GeneralizedPlant, upper: float, level: float | None, bits: int
 ) -> tuple[tuple[float, LowerWitness] | None, str]:
     """The highest of a few levels below the optimum (or the one given) with its witness, or None and the reason."""
-    discrete, _ = discretised(P)
+    rate = 0.0 if P.dt else design_rate(P)
+    discrete, _ = discretised(P, rate)
     c = precondition(discrete)
     before, after = np.linalg.norm(np.linalg.solve(c.T, discrete.B1)), np.linalg.norm(c.plant.B1)
     w = float(after / before) if before and after else 1.0  # `precondition` shares its scale between w and z
-    z, rate = 1 / (c.scale * w), 0.0 if P.dt else cayley_rate(P.system)
+    z = 1 / (c.scale * w)
     reason = "no contradiction was found near the optimum of the Riccati equations"
     with ctx.workprec(bits):
         halves = balls.in_coordinates(P, c.T, w, z, rate)

@@ -232,7 +232,7 @@ def order_of_routes(method: str, n: int) -> tuple[str, ...]:
 def make_route(name: str, plant: GeneralizedPlant) -> Route:
     """The method of that name on a conditioned plant; CVXPY is imported here, when it is needed."""
     if name == "riccati":
-        from synth.synthesis.hinf_riccati import RiccatiRoute
+        from synth.equations.hinf_riccati import RiccatiRoute
 
         return RiccatiRoute.of(plant)
     if name == "lmi":

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from synth.analysis.coprime import Solutions, balanced, closed_loop_moduli, discretised, gang_of_four, solutions
+from synth.analysis.coprime import Solutions, balanced, gang_of_four, solutions
 from synth.analysis.norms import balance, verify
 from synth.analysis.precondition import check_assumptions
 from synth.checks import as_choice, as_number
@@ -34,6 +34,7 @@ from synth.errors import InfeasibleError, ModelError, NumericalError, Verificati
 from synth.files import provenance
 from synth.synthesis.design import Design, Info, Shaping
 from synth.systems.connect import check_dynamic, series
+from synth.systems.sampled import apart, loop_moduli, on_circle
 from synth.systems.statespace import StateSpace, as_system, common_timebase, repeated
 from synth.threads import one_thread
 
@@ -162,9 +163,10 @@ def optimal(G: StateSpace, riccati: Solutions, method: str) -> Optimum:
         from synth.lmi.coprime import optimal_level
 
         # the program is best conditioned in the middle of the closed-loop poles
-        middle = float(np.exp(np.log(closed_loop_moduli(G)).mean()))
+        middle = float(np.exp(np.log(loop_moduli(G)).mean()))
         try:
-            level, status = optimal_level(*discretised(middle, balanced(G, riccati)))
+            H = balanced(G, riccati)
+            level, status = optimal_level(*on_circle(apart(middle, H), H))
             if abs(level - reference) <= AGREE * reference:
                 return Optimum(level, "lmi", f"{status}; Riccati equations {reference:.9g}", failures)
             failures["lmi"] = f"{status}, level {level:.9g} against {reference:.9g} of the Riccati equations"

@@ -131,14 +131,25 @@ def is_singular(M: np.ndarray, size: float | np.floating) -> bool:
 
 
 def balanced(G: Matrices) -> Matrices:
-    """The same system with states scaled by powers of two so that its rows and columns have like norms.
+    """The same system with states scaled by powers of two so that its rows and columns have like norms."""
+    return rescaled(G, state_scales(G))
+
+
+def rescaled(G: Matrices, scales: np.ndarray) -> Matrices:
+    """The same system with the states x / scales; exact for powers of two."""
+    A, B, C, D = G
+    return Matrices(A * scales / scales[:, None], B / scales[:, None], C * scales, D)
+
+
+def state_scales(G: Matrices) -> np.ndarray:
+    """Powers of two, (n,), that balance a system.
 
     Inputs and outputs weigh as much as the fastest mode, so that the time unit does not matter.
     """
-    A, B, C, D = G
+    A, B, C, _ = G
     n = len(A)
     if n == 0:
-        return G
+        return np.ones(0)
     rate = np.abs(np.linalg.eigvals(A)).max() or 1.0
     M = np.zeros((n + 1, n + 1))
     M[:-1, :-1] = np.abs(A)
@@ -147,9 +158,8 @@ def balanced(G: Matrices) -> Matrices:
     with np.errstate(all="ignore"):
         _, (scale, _) = sla.matrix_balance(M, permute=False, separate=True)
         t = scale[:-1] / scale[-1]
-    if not (np.isfinite(t).all() and t.all()):  # numbers beyond the range of balancing stay as they are
-        return G
-    return Matrices(A * t / t[:, None], B / t[:, None], C * t, D)
+    # numbers beyond the range of balancing stay as they are
+    return t if np.isfinite(t).all() and t.all() else np.ones(n)
 
 
 def minimal(G: Matrices, rank: float) -> Matrices:

@@ -1,4 +1,17 @@
-"""From continuous to discrete time and back: `c2d`, and the Cayley map that keeps norms."""
+"""From continuous to discrete time and back: `c2d`, and the Cayley map that keeps norms.
+
+Every function of the package that works in discrete time takes continuous systems there by this map, s =
+rate (z - 1)/(z + 1). The rate decides the accuracy. A loop whose poles are faster than the rate by orders of magnitude
+crowds at z = -1 and is lost; one that is slower keeps its digits over four decades. So the rate is the fastest pole of
+a loop, never of a plant, whose poles may be rounding errors of an integrator or belong to a slow weight:
+
+    `loop_rate`    of a plant from u to y: the loop that minimises |y|^2 + |u|^2
+    `design_rate`  of a generalised plant: the loop that minimises the H2 norm from w to z
+    `pole_rate`    of a stable system, which is a closed loop already: the geometric mean of its poles
+
+They depend on neither coordinates nor units, of the signals or of time. The map balances the states before it solves
+with them, and scales back by the same powers of two, so that it does not change coordinates either.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +25,14 @@ import scipy.linalg as sla
 from synth.checks import as_choice, as_period
 from synth.errors import ModelError
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.realization import is_singular
+from synth.systems.realization import Matrices, rescaled, state_scales
 from synth.systems.statespace import StateSpace, as_system
+
+ILL_CONDITIONED = 1e14  # of rate I - A, balanced: the rate is a pole to rounding
+APART = 0.25  # relative distance of a rate from every pole
+SLOW = 1e-6  # relative: moduli below it may be rounding errors of zero
+MOVED = 1e-2  # relative distance from every pole of the plant from which on a pole belongs to the loop
+INDEPENDENT = 1e-2  # smallest singular value of D12, its columns of length one, with which every control is weighed
 
 
 def c2d(G: Any, dt: float, method: str = "zoh") -> StateSpace:
@@ -39,7 +58,13 @@ def c2d(G: Any, dt: float, method: str = "zoh") -> StateSpace:
     if method == "zoh":
         M = sla.expm(dt * np.block([[G.A, G.B], [np.zeros((G.nu, G.n + G.nu))]]))
         return replace(G, A=M[: G.n, : G.n], B=M[: G.n, G.n :], dt=dt)
-    return replace(cayley(G, 2 / dt, dt), u=G.u, y=G.y, units=G.units)
+    try:
+        return replace(cayley(G, 2 / dt, dt), u=G.u, y=G.y, units=G.units)
+    except ModelError:
+        raise ModelError(
+            f"dt is {dt:g} s and 2/dt = {2 / dt:g} rad/s is a pole of the system, which Tustin's map sends to "
+            "infinity; pass another dt, or method='zoh'"
+        ) from None
 
 
 def cayley(G: StateSpace, rate: float, dt: float = 1.0) -> StateSpace:
@@ -51,24 +76,19 @@ def cayley(G: StateSpace, rate: float, dt: float = 1.0) -> StateSpace:
     ------
     ModelError : `rate` (rad/s) is an eigenvalue of A.
     """
-    E = rate * np.eye(G.n) - G.A
-    if is_singular(E, rate + np.linalg.norm(G.A, 2)):
+    scales = state_scales(G.matrices)
+    A, B, C, D = rescaled(G.matrices, scales)
+    I = np.eye(G.n)
+    E = rate * I - A
+    if G.n and not np.linalg.cond(E) < ILL_CONDITIONED:
         raise ModelError(f"{rate} rad/s is an eigenvalue of A: choose another rate for the Cayley map")
-    A = np.linalg.solve(E, rate * np.eye(G.n) + G.A)
-    B = np.sqrt(2 * rate) * np.linalg.solve(E, G.B)
-    C = np.sqrt(2 * rate) * np.linalg.solve(E.T, G.C.T).T
-    D = G.D + G.C @ np.linalg.solve(E, G.B)
-    return StateSpace(A, B, C, D, dt)
-
-
-def cayley_rate(G: StateSpace) -> float:
-    """A rate in rad/s for the Cayley map: the geometric mean of the pole moduli, away from every pole."""
-    moduli = np.abs(G.poles())
-    moduli = moduli[moduli > 1e-8 * max(moduli.max(initial=0.0), 1e-300)]
-    rate = float(np.exp(np.log(moduli).mean())) if moduli.size else 1.0
-    while G.n and np.abs(G.poles() - rate).min() < 1e-2 * rate:
-        rate *= 1.1
-    return rate
+    mapped = Matrices(
+        np.linalg.solve(E, rate * I + A),
+        np.sqrt(2 * rate) * np.linalg.solve(E, B),
+        np.sqrt(2 * rate) * np.linalg.solve(E.T, C.T).T,
+        D + C @ np.linalg.solve(E, B),
+    )
+    return StateSpace(*rescaled(mapped, 1 / scales), dt)
 
 
 def inverse_cayley(G: StateSpace, rate: float) -> StateSpace:
@@ -78,20 +98,116 @@ def inverse_cayley(G: StateSpace, rate: float) -> StateSpace:
     ------
     ModelError : -1 is an eigenvalue of A, that is, the continuous system would be improper.
     """
-    E = G.A + np.eye(G.n)
-    if is_singular(E, 1 + np.linalg.norm(G.A, 2)):
+    scales = state_scales(G.matrices)
+    A, B, C, D = rescaled(G.matrices, scales)
+    I = np.eye(G.n)
+    E = A + I
+    if G.n and not np.linalg.cond(E) < ILL_CONDITIONED:
         raise ModelError("-1 is an eigenvalue of A: the continuous system would not be proper")
-    A = rate * np.linalg.solve(E, G.A - np.eye(G.n))
-    B = np.sqrt(2 * rate) * np.linalg.solve(E, G.B)
-    C = np.sqrt(2 * rate) * np.linalg.solve(E.T, G.C.T).T
-    D = G.D - G.C @ np.linalg.solve(E, G.B)
-    return StateSpace(A, B, C, D, 0.0)
+    mapped = Matrices(
+        rate * np.linalg.solve(E, A - I),
+        np.sqrt(2 * rate) * np.linalg.solve(E, B),
+        np.sqrt(2 * rate) * np.linalg.solve(E.T, C.T).T,
+        D - C @ np.linalg.solve(E, B),
+    )
+    return StateSpace(*rescaled(mapped, 1 / scales), 0.0)
 
 
-def discretised(plant: GeneralizedPlant) -> tuple[GeneralizedPlant, Callable[[StateSpace], StateSpace]]:
-    """A discrete plant with the same norms, and the way back for its controllers."""
+def on_circle(rate: float, *systems: StateSpace) -> list[StateSpace]:
+    """Discrete systems as they are, continuous ones by one Cayley map at exactly `rate` rad/s."""
+    return [G if G.discrete else cayley(G, rate) for G in systems]
+
+
+def apart(rate: float, *systems: StateSpace) -> float:
+    """The rate, or the next larger one that keeps its distance from every pole of the systems."""
+    poles = np.concatenate([G.poles() for G in systems])
+    while poles.size and np.abs(poles - rate).min() < APART * rate:
+        rate *= 1 + 2 * APART
+    return rate
+
+
+def pole_rate(G: StateSpace) -> float:
+    """A rate in rad/s for a closed loop: the geometric mean of the pole moduli."""
+    moduli = np.abs(G.poles())
+    moduli = moduli[moduli > SLOW * moduli.max(initial=0.0)]
+    return apart(float(np.exp(np.log(moduli).mean())) if moduli.size else 1.0, G)
+
+
+def loop_rate(*systems: StateSpace) -> float:
+    """A rate in rad/s for plants from u to y: the fastest pole of their LQG loops, equal weights on u and y."""
+    fastest = max((loop_moduli(G).max(initial=0.0) for G in systems), default=0.0)
+    return apart(float(fastest) or 1.0, *systems)
+
+
+def design_rate(P: GeneralizedPlant) -> float:
+    """A rate in rad/s for a generalised plant: the fastest pole of the loop with the least H2 norm from w to z.
+
+    Poles of the plant that this loop leaves where they are do not count. Where z does not weigh a control, or a
+    measurement has no noise, the loop would be infinitely fast: as much is added as the signal does at the rate that
+    the others, or the plant's poles, have.
+    """
+    n, nw, _, nz, _ = P.sizes
+    A, B, C, D = rescaled(P.system.matrices, state_scales(P.system.matrices))
+    control = A, B[:, nw:], C[:nz], D[:nz, nw:]
+    estimation = A.T, C[nz:].T, B[:, :nw].T, D[nz:, :nw].T
+    regular = [_moved(*side, 0.0) for side in (control, estimation) if _weighed(side[-1])]
+    rate = max((float(m.max(initial=0.0)) for m in regular), default=0.0) or _typical(A)
+    others = [_moved(*side, rate) for side in (control, estimation) if not _weighed(side[-1])]
+    return apart(max((float(m.max(initial=0.0)) for m in (*regular, *others)), default=0.0) or rate, P.system)
+
+
+def loop_moduli(G: StateSpace) -> np.ndarray:
+    """Moduli of the LQG poles of a continuous system, each twice, (2n,) rad/s: eigenvalues of the Hamiltonian."""
+    n, I = G.n, np.eye
+    A, B, C, D = rescaled(G.matrices, state_scales(G.matrices))
+    return np.abs(_hamiltonian_poles(A, B, np.vstack([C, np.zeros((G.nu, n))]), np.vstack([D, I(G.nu)])))
+
+
+def _weighed(D: np.ndarray) -> bool:
+    """True when every control, and every combination of controls, has a direct effect on z."""
+    size = np.linalg.norm(D, axis=0)
+    return bool(size.all() and np.linalg.svd(D / size, compute_uv=False)[-1] > INDEPENDENT and D.shape[0] >= D.shape[1])
+
+
+def _typical(A: np.ndarray) -> float:
+    """The geometric mean of the poles, without those that may be zero but for rounding; the size of A when all may."""
+    size, moduli = float(np.linalg.norm(A, 2)) if A.size else 0.0, np.abs(np.linalg.eigvals(A))
+    moduli = moduli[moduli > SLOW * size]
+    return float(np.exp(np.log(moduli).mean())) if moduli.size else size or 1.0
+
+
+def _moved(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, rate: float) -> np.ndarray:
+    """Moduli of the poles of the loop u = F x of least |C x + D u|^2 that are none of A's own.
+
+    With a rate, each u costs what it does there, and what C and D say besides.
+    """
+    n = len(A)
+    if rate:
+        s = rate * np.exp(0.25j * np.pi)  # between the axes, where hardly a pole is
+        effect = np.linalg.norm(C @ np.linalg.solve(s * np.eye(n) - A, B) + D, axis=0)
+        B, D, effect = B[:, effect > 0], D[:, effect > 0], effect[effect > 0]
+        C, D = np.vstack([C, np.zeros((len(effect), n))]), np.vstack([D, np.diag(effect)])
+    size = np.linalg.norm(D, axis=0)
+    loop, own = _hamiltonian_poles(A, B / size, C, D / size), np.linalg.eigvals(A)
+    away = np.abs(loop[:, None] - np.concatenate([own, -own])).min(axis=1) > MOVED * np.abs(loop)
+    return np.abs(loop[away])
+
+
+def _hamiltonian_poles(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> np.ndarray:
+    """Eigenvalues of the Hamiltonian of |C x + D u|^2, (2n,); D has full column rank."""
+    R, S = D.T @ D, C.T @ D
+    W = np.linalg.solve(R, np.hstack([B.T, S.T]))
+    n = len(A)
+    G, F = B @ W[:, :n], W[:, n:]
+    return np.linalg.eigvals(np.block([[A - B @ F, -G], [S @ F - C.T @ C, -(A - B @ F).T]]))
+
+
+def discretised(
+    plant: GeneralizedPlant, rate: float | None = None
+) -> tuple[GeneralizedPlant, Callable[[StateSpace], StateSpace]]:
+    """A discrete plant with the same norms, and the way back for its controllers; `rate` as `design_rate` has it."""
     if plant.dt > 0:
         return plant, lambda K: K
     _, _, nu, _, ny = plant.sizes
-    rate = cayley_rate(plant.system)
-    return GeneralizedPlant.partition(cayley(plant.system, rate), ny, nu), lambda K: inverse_cayley(K, rate)
+    r = design_rate(plant) if rate is None else rate
+    return GeneralizedPlant.partition(cayley(plant.system, r), ny, nu), lambda K: inverse_cayley(K, r)

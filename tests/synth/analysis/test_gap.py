@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.signal import tf2ss
 
-from synth.analysis.coprime import discretised, ncfmargin, right_factors
+from synth.analysis.coprime import ncfmargin, right_factors
 from synth.analysis.gap import gapmetric
 from synth.errors import AssumptionError, ModelError
 from synth.synthesis.loopshaping import ncfsyn
-from synth.systems.sampled import c2d
+from synth.systems.sampled import c2d, on_circle
 from synth.systems.statespace import StateSpace
 
 
@@ -124,7 +124,7 @@ def test_gap_is_the_distance_of_the_graphs(seed):
     P2 = perturbed(P1, seed, 0.2)
     gap, nugap = gapmetric(P1, P2)
     assert gap > 1.05 * nugap
-    R1, R2 = map(right_factors, discretised(3.0, P1, P2))
+    R1, R2 = map(right_factors, on_circle(3.0, P1, P2))
     assert toeplitz_gap(R1, R2, 100) == pytest.approx(gap, abs=1e-7)
     assert toeplitz_gap(R2, R1, 100) == pytest.approx(gap, abs=1e-7)
 

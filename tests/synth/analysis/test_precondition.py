@@ -10,8 +10,8 @@ from literature import compleib, cubesat_pecorilla2024, mass_spring_chain, rando
 
 from synth.analysis.norms import hinfnorm
 from synth.analysis.precondition import check_assumptions, precondition
+from synth.equations.hinf_riccati import RiccatiRoute
 from synth.errors import AssumptionError, ModelError, NumericalError
-from synth.synthesis.hinf_riccati import RiccatiRoute
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace
 

@@ -9,8 +9,7 @@ from literature import GAMMA_PECORILLA2024, compleib, cubesat_pecorilla2024, mas
 
 from synth.analysis.norms import hinfnorm, is_stable, verify
 from synth.analysis.precondition import Conditioned, precondition
-from synth.errors import NumericalError, VerificationError
-from synth.synthesis.hinf_riccati import (
+from synth.equations.hinf_riccati import (
     RiccatiRoute,
     central_controller,
     control_riccati,
@@ -20,8 +19,9 @@ from synth.synthesis.hinf_riccati import (
     search,
     solve_level,
 )
+from synth.errors import NumericalError, VerificationError
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.sampled import cayley, cayley_rate, inverse_cayley
+from synth.systems.sampled import cayley, design_rate, inverse_cayley
 from synth.systems.statespace import StateSpace
 
 seeds = st.integers(0, 10**6)
@@ -29,7 +29,7 @@ sizes = {"n": st.integers(2, 8), "nu": st.integers(1, 3), "ny": st.integers(1, 3
 
 
 def discretised(P: GeneralizedPlant) -> tuple[GeneralizedPlant, float]:
-    rate = cayley_rate(P.system)
+    rate = design_rate(P)
     _, _, nu, _, ny = P.sizes
     return GeneralizedPlant.partition(cayley(P.system, rate), ny, nu), rate
 

@@ -19,14 +19,15 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 import scipy.linalg as sla
 
-from synth.analysis.precondition import regularised_lqr
-from synth.equations.doubling import Riccati, is_nonnegative, is_positive, solve_riccati
+from synth.equations.doubling import Riccati, double, evaluate, is_positive, regularised_lqr, solve_riccati
 from synth.errors import NumericalError
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace
 
 REGULARISATIONS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # relative to the scaled plant
 BACKOFF = (*(1e-5 * 4.0**k for k in range(6)), 0.1, 1.0, 10.0, 1e2, 1e3)  # the last ones where the optimum is zero
+NEGATIVE = 1e-7  # part of its size that an eigenvalue of X may lie below zero: rounding, where X vanishes
+INVERTIBLE = 1e-4  # ratio of the singular values of D12 from which on it is inverted
 INSIDE = 1e-6  # the central controller for a level is made for one lower by this part, so that it keeps the level
 LOWEST, HIGHEST = 1e-9, 1e9  # levels searched, scaled plant
 MAX_LEVELS = 120  # tried in one search; 10 to 30 are used
@@ -151,10 +152,48 @@ def control_riccati(P: GeneralizedPlant, gamma: float, start: np.ndarray | None 
     B, D = np.hstack([P.B1, P.B2]), np.hstack([P.D11, P.D12])
     R = D.T @ D
     R[:nw, :nw] -= gamma**2 * np.eye(nw)
-    solution = solve_riccati(P.A, B, P.C1.T @ P.C1, R, P.C1.T @ D, start=start)
-    if solution is None or not is_positive(solution.R[nw:, nw:]) or not is_nonnegative(solution.X):
+    if _cancels(P.D12):
+        X = _unstable_part(P, gamma)
+        solution = None if X is None else evaluate(P.A, B, P.C1.T @ P.C1, R, P.C1.T @ D, X)
+    else:
+        solution = solve_riccati(P.A, B, P.C1.T @ P.C1, R, P.C1.T @ D, start=start)
+    if solution is None or not is_positive(solution.R[nw:, nw:]):
+        return None
+    size = max(np.linalg.norm(M, 2) for M in (solution.X, solution.X if start is None else start))
+    if np.linalg.eigvalsh(solution.X).min(initial=0.0) < -NEGATIVE * size:
         return None
     return solution if is_positive(-_worst_case(solution.R, nw)) else None
+
+
+def _cancels(D12: np.ndarray) -> bool:
+    """True when u reaches all of z directly, so that it can make z zero at any state."""
+    if D12.shape[0] != D12.shape[1]:
+        return False
+    sigma = np.linalg.svd(D12, compute_uv=False)
+    return bool(sigma[-1] > INVERTIBLE * sigma[0])
+
+
+def _unstable_part(P: GeneralizedPlant, gamma: float) -> np.ndarray | None:
+    """X of `control_riccati` where D12 is invertible, in closed form; None when gamma is too low.
+
+    With u = -D12^-1 (C1 x + D11 w) + v a cost is left on v alone: X is zero but on the modes V'x that this feedback
+    leaves unstable, and its inverse W there solves a linear equation. So a stable mode that is slower than rounding can
+    tell, as of the weight of a mixed sensitivity, does no harm.
+
+        V'(A - B2 D12^-1 C1) = Au V',  Au W Au' - W = V'(B2 (D12'D12)^-1 B2' - Bw Bw' / gamma^2) V
+    """
+    E = np.linalg.solve(P.D12.T, P.B2.T).T
+    A, Bw = P.A - E @ P.C1, P.B1 - E @ P.D11
+    T, Z, k = sla.schur(A.T, output="real", sort="ouc")
+    if k == 0:
+        return np.zeros_like(A)
+    V, Ai = Z[:, :k], np.linalg.inv(T[:k, :k].T)
+    E, Bw = V.T @ E, V.T @ Bw
+    W = double(Ai.T, np.zeros((k, k)), Ai @ (E @ E.T - Bw @ Bw.T / gamma**2) @ Ai.T)
+    if W is None or not is_positive(W):
+        return None
+    X = V @ np.linalg.solve(W, V.T)
+    return (X + X.T) / 2
 
 
 def estimation_riccati(P: GeneralizedPlant, gamma: float, start: np.ndarray | None = None) -> Riccati | None:

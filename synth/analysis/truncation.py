@@ -1,0 +1,45 @@
+"""Balanced truncation: a stable system without the states that hardly matter, and what leaving them out costs.
+
+In coordinates in which both Gramians are diagonal and equal (the Hankel singular values), states that are hardly
+reached or hardly seen come last. Without them the response differs by at most twice the sum of their values.
+
+References: Moore (1981), IEEE TAC 26, 17; Al-Saggaf and Franklin (1987), IEEE TAC 32, 687 (the bound, in discrete
+time); Smith (1968), SIAM J. Applied Mathematics 16, 198 (doubling).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from synth.systems.statespace import StateSpace
+
+MAX_DOUBLINGS = 64  # 2^64 samples: no stable double is slower
+SETTLED = 1e-17  # norm of a power of A that adds nothing any more
+
+
+def balanced_truncation(G: StateSpace, error: float) -> tuple[StateSpace, float]:
+    """The stable discrete system with the fewest states within `error` (absolute, H-infinity), and the error it has.
+
+    Nothing is inverted: the transformation is made of factors of the Gramians, so that states that are not reached
+    or not seen at all do no harm.
+    """
+    reached, seen = _gramian_factor(G.A, G.B), _gramian_factor(G.A.T, G.C.T)
+    U, sigma, Vt = np.linalg.svd(seen.T @ reached)
+    tails = 2 * np.append(np.cumsum(sigma[::-1])[::-1], 0.0)  # of what is left out when k are kept
+    k = int(np.argmax(tails <= error))
+    root = np.sqrt(sigma[:k])
+    T, Ti = reached @ Vt[:k].T / root, (seen @ U[:, :k] / root).T
+    return StateSpace(Ti @ G.A @ T, Ti @ G.B, G.C @ T, G.D, G.dt), float(tails[k])
+
+
+def _gramian_factor(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """L with L L' = sum of A^k B B' A'^k, at most as wide as A."""
+    L = B
+    for _ in range(MAX_DOUBLINGS):
+        L = np.hstack([L, A @ L])
+        if L.shape[1] > len(A):
+            L = np.linalg.qr(L.T, mode="r").T
+        A = A @ A
+        if not np.linalg.norm(A) > SETTLED:
+            break
+    return L
