@@ -4,7 +4,7 @@ SynthError
  ├─ ModelError         the data is not a model: NaN, wrong shape, wrong timebase
  │   └─ SpecificationError   a study file has mistakes: carries all of them, with their paths
  ├─ AssumptionError    the model is sound but no controller can exist: names the assumption
- ├─ InfeasibleError    the asked-for level cannot be reached: carries the best level
+ ├─ InfeasibleError    the asked-for level was not reached: carries the best level, and what is proved impossible
  ├─ NumericalError     every route failed: carries the statuses of the solvers
  ├─ VerificationError  a controller was found and the independent judge rejected it
  └─ ExportError        a sound controller cannot leave in this form, under this name, to this place
@@ -50,16 +50,18 @@ class AssumptionError(SynthError):
 
 
 class InfeasibleError(SynthError):
-    """The requested performance level cannot be reached.
+    """The requested performance level was not reached, or is proved to be impossible; the message says which.
 
     Attributes
     ----------
     best : float, the lowest level that was reached
+    lower : float, the level below which no controller goes, as far as that was proved; 0 when nothing was
     """
 
-    def __init__(self, message: str, best: float):
+    def __init__(self, message: str, best: float, lower: float = 0.0):
         super().__init__(message)
         self.best = best
+        self.lower = lower
 
 
 class NumericalError(SynthError):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import functools
 import os
 import tempfile
 from importlib import metadata
@@ -25,5 +26,11 @@ def write_atomically(path: Path, content: bytes) -> Path:
 
 def provenance(*packages: str) -> tuple[dict[str, str], str]:
     """Versions of the packages that took part, and the date (ISO 8601, UTC)."""
-    versions = {name: metadata.version(name) for name in ("convex-synth", "numpy", "scipy", *packages)}
+    versions = {name: _version(name) for name in ("convex-synth", "numpy", "scipy", *packages)}
     return versions, datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+
+
+@functools.cache
+def _version(package: str) -> str:
+    """Its version; read once, because parsing the metadata takes a millisecond."""
+    return metadata.version(package)

@@ -11,8 +11,9 @@ References: Osborne (1960), J. ACM 7; Jonckheere and Silverman (1983), IEEE TAC 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 import scipy.linalg as sla
@@ -23,7 +24,7 @@ from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace
 
 FLOOR = 1e-8  # relative, on the singular values of the state transform
-BOUNDARY = 1e-12  # modes this close to the stability boundary count as not stable
+ROUNDED = 1e-14  # of the entries of A, in the doubt about its eigenvalues
 LOST = 1e-13  # relative distance to a loss of rank, per state, that rounding explains
 ILL_POSED = 1e-12  # relative distance of I + Dk D22 to singular
 SWEEPS = 50  # of the power-of-two balancing; about five are used
@@ -105,6 +106,11 @@ def precondition(P: GeneralizedPlant) -> Conditioned:
     if P.dt == 0:
         raise ModelError("the plant is continuous (dt = 0); map it to discrete time with cayley before conditioning")
     check_assumptions(P)
+    return conditioned(P)
+
+
+def conditioned(P: GeneralizedPlant) -> Conditioned:
+    """`precondition` of a discrete plant whose assumptions were checked."""
     first = _balance(P)
     S = _transformed(P, first)
     lqr = regularised_lqr(S.A, S.B2, S.C1, S.D12, "(A, B2) stabilisable")
@@ -188,8 +194,9 @@ def _unreachable(A: np.ndarray, B: np.ndarray, *, discrete: bool) -> tuple[compl
     size = np.linalg.norm(A, 2) or 1.0  # zero for integrators
 
     def persistent(value):
-        return abs(value) >= 1 - BOUNDARY if discrete else value.real >= -BOUNDARY * size
+        return 1 - abs(value) <= doubt(value) if discrete else -value.real <= doubt(value)
 
+    doubt = _doubts(A)
     # rows of U' span the left invariant subspace: U' A = Au U'
     schur = sla.schur(A.T, output="complex", sort=persistent)
     Tr, Z, k = schur[0], schur[1], int(schur[-1])
@@ -205,8 +212,14 @@ def _unreachable(A: np.ndarray, B: np.ndarray, *, discrete: bool) -> tuple[compl
     return tuple(sorted(clean, key=lambda m: (m.real, m.imag)))
 
 
-def _radius(A: np.ndarray) -> float:
-    return float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))
+def _doubts(A: np.ndarray) -> Callable[[complex], float]:
+    """How far rounding of the entries of A may have moved an eigenvalue, by its value: |y'| |A| |x| / |y'x|."""
+    if not len(A):
+        return lambda value: 0.0
+    values, Y, X = cast("tuple[np.ndarray, ...]", sla.eig(A, left=True))
+    angles = np.abs(np.einsum("ij,ij->j", Y.conj(), X))
+    moved = ROUNDED * np.einsum("ij,ik,kj->j", np.abs(Y), np.abs(A), np.abs(X)) / np.maximum(angles, 1e-8)
+    return lambda value: float(moved[np.abs(values - value).argmin()])
 
 
 def _inverse_root(M: np.ndarray) -> np.ndarray:

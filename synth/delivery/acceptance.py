@@ -173,7 +173,7 @@ def accept(
 def _loop(design: Any, plant: Any) -> tuple[GeneralizedPlant, StateSpace, float | None]:
     """The plant, the controller that closes it, and the level it was designed for (on its own plant)."""
     if isinstance(design, Design) and plant is None:
-        return design.plant, design.closing, max(design.gamma, design.verified_norm)
+        return design.plant, design.closing, design.gamma
     if not isinstance(plant, GeneralizedPlant):
         raise ModelError(
             "the controller comes without a plant; pass a GeneralizedPlant (gang_of_four(G) for a plain G)"

@@ -29,6 +29,7 @@ def mat_bytes(design: Design) -> bytes:
         "dt": float(data["dt"]),
         "gamma": float(data["gamma"]),
         "verified_norm": float(data["verified_norm"]),
+        "optimum": float("nan") if info["optimum"] is None else float(info["optimum"]),
         "names": names,
         "units": {channel: _cell([design.plant.units.get(s, "") for s in data["plant"][channel]]) for channel in "uy"},
         "plant_sha256": data["plant_sha256"],
@@ -38,7 +39,7 @@ def mat_bytes(design: Design) -> bytes:
         "date": info["date"],
         "versions": _cell([f"{name} {version}" for name, version in info["versions"].items()]),
     }
-    if info["shifted_norm"] is not None:  # mixed sensitivity with a shifted axis: gamma belongs to that problem
+    if info["shifted_norm"] is not None:  # mixed sensitivity with a shifted axis: the optimum belongs to that problem
         content |= {"shift": float(info["shift"]), "shifted_norm": float(info["shifted_norm"])}
     for name, parts in data.get("shaping", {}).items():  # K = W1 Ks W2; Ks closes P
         content[name] = {key: np.asarray(value, dtype=float) for key, value in parts.items()}

@@ -52,8 +52,9 @@ def design_plot(design: Design, ax: Any = None, *, label: str | None = None, **s
     sigma(design.closed_loop, loop, omega=grid, label=label or "closed loop", **style)
     color = loop.lines[-1].get_color()  # one for each design
     name = f"{label}, " if label else ""
-    loop.axhline(design.gamma, color=color, ls="--", label=f"{name}gamma {design.gamma:.6g}")
-    loop.axhline(design.verified_norm, color=color, ls=":", label=f"{name}verified norm {design.verified_norm:.6g}")
+    loop.axhline(design.gamma, color=color, ls=":", label=f"{name}verified norm {design.gamma:.6g}")
+    if design.info.optimum is not None and design.info.shifted_norm is None:  # else it is of another problem
+        loop.axhline(design.info.optimum, color=color, ls="--", label=f"{name}optimum {design.info.optimum:.6g}")
     sigma(design.controller, controller, omega=grid, label=label or "controller", **{"color": color, **style})
     loop.set_title("closed loop, w to z")
     controller.set_title("controller, y to u")

@@ -13,8 +13,8 @@ Reference: Stoorvogel (1992), The H-infinity control problem: a state space appr
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, NamedTuple, cast
 
 import numpy as np
 import scipy.linalg as sla
@@ -29,6 +29,8 @@ BACKOFF = (*(1e-5 * 4.0**k for k in range(6)), 0.1, 1.0, 10.0, 1e2, 1e3)  # the 
 NEGATIVE = 1e-7  # part of its size that an eigenvalue of X may lie below zero: rounding, where X vanishes
 INVERTIBLE = 1e-4  # ratio of the singular values of D12 from which on it is inverted
 INSIDE = 1e-6  # the central controller for a level is made for one lower by this part, so that it keeps the level
+NEARLY = 0.99  # coupling just above an optimum that it decides
+FAR, FALLEN = 1.1, 1e-2  # so much above the optimum the equations are better conditioned by so much
 LOWEST, HIGHEST = 1e-9, 1e9  # levels searched, scaled plant
 MAX_LEVELS = 120  # tried in one search; 10 to 30 are used
 
@@ -46,6 +48,11 @@ class Solutions(NamedTuple):
         """True when a controller with norm below gamma exists."""
         return self.coupling < 1
 
+    @property
+    def rcond(self) -> float:
+        """How far the equations are from singular, 0 to 1; 0 when one has no solution."""
+        return min((1 / np.linalg.cond(r.R) if r else 0.0) for r in (self.X, self.Y))
+
 
 class Search(NamedTuple):
     """Bracket of the lowest feasible level."""
@@ -62,6 +69,7 @@ class RiccatiRoute:
     plant: GeneralizedPlant  # discrete, D22 = 0, scaled
     X: np.ndarray  # (n, n) LQR solution, where the control equations start
     Y: np.ndarray  # (n, n) Kalman solution, where the estimation equations start
+    _certain: dict[float, bool] = field(default_factory=dict, compare=False)  # levels that were looked at
     solver: ClassVar[str] = "doubling"
     tolerance: ClassVar[float] = 1e-7
     backoff: ClassVar[tuple[float, ...]] = BACKOFF
@@ -89,14 +97,13 @@ class RiccatiRoute:
                 continue
             if best is None or found.high.gamma < best[0].high.gamma:
                 best = found, epsilon
-            if epsilon == 0 and self._trusted(found):
+            if epsilon == 0 and self.certain(found.high.gamma):
                 break
         if best is None:
             raise NumericalError("the Riccati equations have no solution at any level and regularisation", statuses)
         (_, high, levels), epsilon = best
         note = f", regularised by {epsilon:g}" if epsilon else ""
-        rcond = min(1 / np.linalg.cond(r.R) for r in (high.X, high.Y) if r)
-        return high.gamma, f"coupling {high.coupling:.7f} after {levels} levels, rcond {rcond:.1e}{note}"
+        return high.gamma, f"coupling {high.coupling:.7f} after {levels} levels, rcond {high.rcond:.1e}{note}"
 
     def controllers(self, level: float) -> Iterator[StateSpace]:
         """Central controllers for `level`: of the plant, then of the regularised plants that can reach it."""
@@ -106,17 +113,27 @@ class RiccatiRoute:
             if K is not None:
                 yield K
 
-    def _trusted(self, found: Search) -> bool:
-        """True when the optimum found without regularisation needs no second opinion.
+    def certain(self, level: float) -> bool:
+        """True when the optimum found needs no second opinion.
 
-        Either it is the Parrott bound, or the coupling crosses one between two levels at which both solutions exist,
-        and a slightly regularised plant is not feasible lower down.
+        It is the Parrott bound; or just above it the coupling is nearly one, or an equation is nearly singular (a wall
+        that was met, not digits that were lost); and a slightly regularised plant is not feasible lower down.
         """
-        if found.high.gamma <= parrott(self.plant) * (1 + BACKOFF[0]):
+        if level not in self._certain:
+            self._certain[level] = self._met(level)
+        return self._certain[level]
+
+    def _met(self, level: float) -> bool:
+        if level <= parrott(self.plant) * (1 + BACKOFF[0]):
             return True
-        if not np.isfinite(found.low.coupling):
+        near = solve_level(self.plant, level * (1 + INSIDE), self.X, self.Y)
+        if not near.feasible:
             return False
-        return not solve_level(regularised(self.plant, 1e-5), found.high.gamma * (1 - 1e-4), self.X, self.Y).feasible
+        if near.coupling < NEARLY:
+            far = solve_level(self.plant, level * FAR, self.X, self.Y)
+            if not (far.feasible and near.rcond < FALLEN * far.rcond):
+                return False
+        return not solve_level(regularised(self.plant, 1e-5), level * (1 - 1e-4), self.X, self.Y).feasible
 
 
 def regularised(P: GeneralizedPlant, epsilon: float) -> GeneralizedPlant:
@@ -135,12 +152,17 @@ def regularised(P: GeneralizedPlant, epsilon: float) -> GeneralizedPlant:
 
 def parrott(P: GeneralizedPlant) -> float:
     """Level below which no controller can go, whatever its direct term: the parts of D11 out of reach of u and y."""
+    return max(float(np.linalg.norm(M, 2)) for M in parrott_parts(P))
+
+
+def parrott_parts(P: GeneralizedPlant) -> tuple[np.ndarray, np.ndarray]:
+    """The part of D11 out of reach of u, and the part out of reach of y, each (nz, nw)."""
 
     def complement(D):
-        return sla.null_space(D.T) if np.any(D) else np.eye(len(D))
+        N = sla.null_space(D.T) if np.any(D) else np.eye(len(D))
+        return N @ N.T
 
-    left, right = complement(P.D12).T @ P.D11, P.D11 @ complement(P.D21.T)
-    return max((float(np.linalg.norm(M, 2)) if M.size else 0.0) for M in (left, right))
+    return complement(P.D12) @ P.D11, P.D11 @ complement(P.D21.T)
 
 
 def control_riccati(P: GeneralizedPlant, gamma: float, start: np.ndarray | None = None) -> Riccati | None:
@@ -184,7 +206,7 @@ def _unstable_part(P: GeneralizedPlant, gamma: float) -> np.ndarray | None:
     """
     E = np.linalg.solve(P.D12.T, P.B2.T).T
     A, Bw = P.A - E @ P.C1, P.B1 - E @ P.D11
-    T, Z, k = sla.schur(A.T, output="real", sort="ouc")
+    T, Z, k = cast("tuple[np.ndarray, np.ndarray, int]", sla.schur(A.T, output="real", sort="ouc"))
     if k == 0:
         return np.zeros_like(A)
     V, Ai = Z[:, :k], np.linalg.inv(T[:k, :k].T)

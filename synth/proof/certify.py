@@ -17,7 +17,7 @@ import os
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -30,14 +30,30 @@ from synth.proof.witnesses import find_lower, find_upper
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace
 
-if TYPE_CHECKING:
-    from synth.synthesis.design import Design
-
 FORMAT = "convex-synth certificate"
 FORMAT_VERSION = 1
 BITS = 128
 MAX_BITS = 4096  # accepted from a file
 MARGINS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # of the upper bound above the verified norm
+
+
+class Designed(Protocol):
+    """What is proved something about: a `Design`."""
+
+    @property
+    def plant(self) -> GeneralizedPlant:
+        """What the controller closes."""
+        ...
+
+    @property
+    def gamma(self) -> float:
+        """The verified norm of the loop."""
+        ...
+
+    @property
+    def closing(self) -> StateSpace:
+        """The controller that closes the plant."""
+        ...
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -180,7 +196,9 @@ def as_array(data: Any, key: str, ndim: int = 2) -> np.ndarray:
     return M
 
 
-def certify(design: Design, *, lower: float | None = None, upper: float | None = None, bits: int = BITS) -> Certificate:
+def certify(
+    design: Designed, *, lower: float | None = None, upper: float | None = None, bits: int = BITS
+) -> Certificate:
     """Prove both bounds of an H-infinity design in ball arithmetic.
 
     Parameters
@@ -209,7 +227,7 @@ def certify(design: Design, *, lower: float | None = None, upper: float | None =
     if upper is not None:
         upper = as_number("upper", upper, "a positive level to prove the controller below", above=0)
     P, K = design.plant, design.closing
-    levels = [upper] if upper is not None else [design.verified_norm * (1 + m) for m in MARGINS]
+    levels = [upper] if upper is not None else [design.gamma * (1 + m) for m in MARGINS]
     above = next(((g, found) for g in levels if (found := find_upper(P, K, g, bits))), None)
     if above is None:
         raise VerificationError(f"it was not proved that the norm is below {levels[-1]:.9g}")

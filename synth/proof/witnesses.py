@@ -120,7 +120,7 @@ def find_lower(
 ) -> tuple[tuple[float, LowerWitness] | None, str]:
     """The highest of a few levels below the optimum (or the one given) with its witness, or None and the reason."""
     rate = 0.0 if P.dt else design_rate(P)
-    discrete, _ = discretised(P, rate)
+    discrete, _ = discretised(P, rate or None)
     c = precondition(discrete)
     before, after = np.linalg.norm(np.linalg.solve(c.T, discrete.B1)), np.linalg.norm(c.plant.B1)
     w = float(after / before) if before and after else 1.0  # `precondition` shares its scale between w and z

@@ -11,15 +11,18 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, fields
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from synth.analysis.norms import verify
+from synth.analysis.stabilitymargins import Margins, margins
 from synth.checks import as_path
-from synth.errors import ModelError, VerificationError
+from synth.errors import ModelError, SynthError, VerificationError
 from synth.files import write_atomically
+from synth.synthesis.remarks import floored, poor, words
 from synth.systems.connect import series
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace
@@ -30,7 +33,7 @@ if TYPE_CHECKING:
     from synth.proof.certify import Certificate
 
 FORMAT = "convex-synth design"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 SHAPING = ("W1", "W2", "Ks")  # systems in a file of a loop-shaping design
 ROUNDING = 1e-12  # relative agreement of a controller in a file with the product of its parts
 INFINITE = 1e6  # a continuous peak so many times faster than every pole is one of the direct term
@@ -43,8 +46,10 @@ class Info:
 
     method: str  # the route that answered: "lmi", "riccati", "standard", "extended"
     status: str  # the solver's own word, which is no proof
-    level: float  # the level the controller was designed for, >= gamma
+    level: float  # the level the controller was designed for
+    optimum: float | None  # what the solver claims to be possible, which is no proof; None when it was not looked for
     spectral_radius: float  # of the closed loop (continuous: largest real part, rad/s)
+    slowest: float  # rad/s, decay of the slowest pole of the closed loop
     frequency: float  # rad/s, peak of the closed loop's largest singular value
     seconds: float  # wall time from call to verified design
     solver: str  # what solved the problem
@@ -52,9 +57,9 @@ class Info:
     failures: Mapping[str, str]  # routes and back-offs that were tried before, with their reasons
     versions: Mapping[str, str]  # packages that took part
     date: str  # ISO 8601, UTC
-    gamma_min: float | None = None  # optimal level, where the design is for another one (loop shaping)
+    warnings: tuple[str, ...] = ()  # what a user must know
     shift: float = 0.0  # rad/s, of the stability boundary (mixed sensitivity)
-    shifted_norm: float | None = None  # verified norm of the shifted problem, to which gamma then belongs
+    shifted_norm: float | None = None  # verified norm of the shifted problem, to which the optimum then belongs
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,10 +83,14 @@ class Design:
     plant: GeneralizedPlant
     controller: StateSpace  # u = K y, positive feedback
     closed_loop: StateSpace  # w -> z
-    gamma: float  # optimal level found, or the level asked for
-    verified_norm: float  # H-infinity norm of the closed loop, measured by two independent methods
+    gamma: float  # H-infinity norm of the closed loop, measured by two independent methods
     info: Info
     shaping: Shaping | None = None  # of a loop-shaping design, whose Ks (not `controller`) closes `plant`
+
+    @property
+    def verified_norm(self) -> float:
+        """`gamma` by the name that says how it came about."""
+        return self.gamma
 
     @property
     def closing(self) -> StateSpace:
@@ -119,16 +128,41 @@ class Design:
         dt = f"dt = {self.plant.dt:g} s" if self.plant.dt else "continuous"
         return (
             f"Design(order {self.controller.n} controller, {ny} measurements, {nu} controls, {dt}; plant order {n}\n"
-            f"       gamma {self.gamma:.7g}, verified norm {self.verified_norm:.7g} at {self.info.frequency:.4g} rad/s,"
-            f" method {self.info.method!r}, {self.info.seconds:.2f} s)"
+            f"       gamma {self.gamma:.7g}, the verified norm, at {self.info.frequency:.4g} rad/s{self._claim},"
+            f" method {self.info.method!r}, {self.info.seconds:.2f} s"
+            + (f"\n       {words(self.margins)}" if self.margins else "")
+            + "".join(f"\n       warning: {text}" for text in self.warnings)
+            + ")"
         )
+
+    @property
+    def _claim(self) -> str:
+        return "" if self.info.optimum is None else f" (optimum {self.info.optimum:.7g} by the solver)"
+
+    @cached_property
+    def margins(self) -> Margins | None:
+        """Margins of the loop of controller and plant, u = K y; None where double precision cannot tell them."""
+        G, (_, nw, _, nz, _) = self.plant.system, self.plant.sizes
+        G = StateSpace(G.A, G.B[:, nw:], G.C[nz:], G.D[nz:, nw:], G.dt)
+        try:
+            return margins(G, self.closing, sign=1)
+        except (SynthError, np.linalg.LinAlgError):
+            return None
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """What must be known before this controller is used: of the search, of the margins, of the weights."""
+        floor = () if self.shaping else floored(self.plant, self.gamma)
+        return (*self.info.warnings, *poor(self.margins), *floor)
 
     @property
     def facts(self) -> dict[str, str]:
         """The design at a glance, in words: what a card or a table shows of it."""
         facts = {"order": f"{self.controller.n} (plant {self.plant.sizes[0]})"}
         facts |= {"sampling time": f"{self.plant.dt:g} s" if self.plant.dt else "continuous"}
-        facts |= {"gamma": f"{self.gamma:.7g}", "verified norm": f"{self.verified_norm:.7g}"}
+        facts |= {"verified norm": f"{self.gamma:.7g}"}
+        if self.info.optimum is not None:
+            facts |= {"optimum claimed": f"{self.info.optimum:.7g}"}
         beyond = not self.plant.dt and self.info.frequency > INFINITE * np.abs(self.closed_loop.poles()).max(initial=0)
         facts |= {"peak at": "infinity" if beyond else f"{self.info.frequency:.4g} rad/s", "method": self.info.method}
         if self.info.shifted_norm is not None:
@@ -136,6 +170,11 @@ class Design:
                 "shift of the axis": f"{self.info.shift:g} rad/s",
                 "shifted norm": f"{self.info.shifted_norm:.7g}",
             }
+        if self.margins is not None:
+            facts |= {"margins": words(self.margins)}
+        facts |= {"slowest pole": f"{self.info.slowest:.4g} rad/s"}
+        if self.warnings:
+            facts |= {"warnings": "; ".join(self.warnings)}
         return facts | {"plant sha256": self.plant.system.digest()[:16]}
 
     def _repr_html_(self) -> str:
@@ -231,15 +270,17 @@ def from_dict(data: Any) -> Design:
     """The inverse of `to_dict`, checked."""
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise ModelError(f"the data is no design: its format is not {FORMAT!r}; pass what Design.save wrote")
+    if data.get("format_version") == 1:
+        data = _of_version_1(data)
     if data.get("format_version") != FORMAT_VERSION:
         raise ModelError(
-            f"format_version is {data.get('format_version')!r}, this release reads {FORMAT_VERSION}; "
+            f"format_version is {data.get('format_version')!r}, this release reads 1 and {FORMAT_VERSION}; "
             "read the file with the release that wrote it"
         )
     try:
         plant = GeneralizedPlant(**data["plant"])
         controller = _system_from_dict(data["controller"], data["dt"])
-        info = Info(**data["info"])
+        info = Info(**{**data["info"], "warnings": tuple(data["info"]["warnings"])})
         parts = data.get("shaping")
         shaping = None if parts is None else Shaping(*(_system_from_dict(parts[k], data["dt"]) for k in SHAPING))
         gamma, norm, digest = float(data["gamma"]), float(data["verified_norm"]), data["plant_sha256"]
@@ -253,9 +294,22 @@ def from_dict(data: Any) -> Design:
         raise ModelError("controller is not the W1 Ks W2 of the shaping in the file: one of them was changed")
     closed_loop = plant.close(shaping.Ks if shaping else controller)
     measured = verify(closed_loop)
-    if abs(measured.norm - norm) > REMEASURE * norm:
-        raise VerificationError(f"the file claims a norm of {norm:.9g}, measured is {measured.norm:.9g}")
-    return Design(plant, controller, closed_loop, gamma, norm, info, shaping)
+    for claimed in (gamma, norm):
+        if abs(measured.norm - claimed) > REMEASURE * claimed:
+            raise VerificationError(f"the file claims a norm of {claimed:.9g}, measured is {measured.norm:.9g}")
+    return Design(plant, controller, closed_loop, gamma, info, shaping)
+
+
+def _of_version_1(data: Mapping[str, Any]) -> dict[str, Any]:
+    """A file of version 1, in which `gamma` was the solver's claim, or the level that was asked for."""
+    try:
+        info = dict(data["info"])
+        optimum = info.pop("gamma_min", None)
+        shaped = data.get("shaping") is not None
+        info |= {"optimum": optimum if shaped else data["gamma"], "slowest": float("nan"), "warnings": ()}
+        return {**data, "format_version": FORMAT_VERSION, "gamma": data["verified_norm"], "info": info}
+    except (KeyError, TypeError, ValueError) as error:
+        raise ModelError(f"the design is incomplete or damaged: {error}") from None
 
 
 def _equal(G: StateSpace, H: StateSpace) -> bool:

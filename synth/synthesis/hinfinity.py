@@ -1,12 +1,12 @@
-"""H-infinity output-feedback synthesis: precondition, solve, centre, recover, verify.
+"""H-infinity output-feedback synthesis: precondition, solve, recover, verify; `search.py` has the order of attempts.
 
 Methods
 -------
-    "extended"  seed LMI (16), multiplier free        lmi/loops.py, lmi/hinf.py
-    "standard"  seed LMI (20)                         lmi/loops.py, lmi/hinf.py
+    "riccati"   game Riccati equations by doubling    equations/hinf_riccati.py
     "lmi"       controller eliminated, (R, S) only    lmi/eliminate.py
-    "riccati"   game Riccati equations by doubling    hinf_riccati.py
-    "auto"      "lmi" up to order 20 and "riccati" above, the other one when verification fails
+    "standard"  seed LMI (20)                         lmi/loops.py, lmi/hinf.py
+    "extended"  seed LMI (16), multiplier free        lmi/loops.py, lmi/hinf.py
+    "auto"      "riccati"; where that is not certain also at other rates, and "lmi" up to order 20
 
 Continuous plants go through the Cayley map, which preserves the norm. Nothing unverified is returned.
 """
@@ -14,52 +14,26 @@ Continuous plants go through the Cayley map, which preserves the norm. Nothing u
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Protocol
+from typing import Any
 
-from synth.analysis.norms import Verification, verify
-from synth.analysis.precondition import check_assumptions, precondition
+import numpy as np
+
+from synth.analysis.precondition import check_assumptions
 from synth.checks import as_choice, as_number, as_whole
+from synth.equations.hinf_riccati import RiccatiRoute
 from synth.errors import InfeasibleError, ModelError, NumericalError, SynthError
 from synth.files import provenance
 from synth.synthesis.design import Design, Info
+from synth.synthesis.search import LARGEST_LMI, Candidate, Route, Search
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.sampled import discretised
 from synth.systems.statespace import StateSpace
 from synth.threads import one_thread
 
-METHODS = ("auto", "lmi", "riccati", "standard", "extended")
-LARGEST_LMI = 20  # plant order up to which "auto" starts with the LMIs
-CLOSE = 1e-3  # a norm within this of the level the controller was designed for is taken at once
-CONTRADICTED = 1e-6  # a controller this much below the optimum a solver claims shows that it was none
-ACCEPT = 1e-2  # a norm within this of the optimum counts as reaching it
-
-
-class Route(Protocol):
-    """One method on a conditioned plant."""
-
-    solver: ClassVar[str]
-    tolerance: ClassVar[float]  # relative, of that solver
-    backoff: ClassVar[tuple[float, ...]]  # relative distances from the optimum at which to ask for controllers, in turn
-
-    def minimise(self) -> tuple[float, str]:
-        """The lowest level the method believes possible, and the solver's word on it."""
-        ...
-
-    def controllers(self, level: float) -> Iterator[StateSpace]:
-        """Controllers that should reach `level`."""
-        ...
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A controller in the plant's own coordinates that the judge has measured."""
-
-    controller: StateSpace
-    closed_loop: StateSpace
-    measured: Verification
-    level: float  # the level it was designed for
+STUCK = 1e-5  # of the median decay: what is slower was not placed on purpose
+METHODS = ("auto", "riccati", "lmi", "standard", "extended")
+PROVABLE = 50  # states up to which an InfeasibleError comes with a proof, which takes about as long as the design
+BITS = 128  # of that proof
+TOLERANCE = 1e-3  # relative distance from the optimum that the controller must reach
 
 
 @one_thread
@@ -70,6 +44,7 @@ def hinfsyn(
     *,
     method: str = "auto",
     gamma: float | None = None,
+    tol: float = TOLERANCE,
     ncont: int | None = None,
 ) -> Design:
     """Controller K that minimises the H-infinity norm of P closed by u = K y (positive feedback).
@@ -79,20 +54,21 @@ def hinfsyn(
     P : GeneralizedPlant, or a system in any form that `system` takes, whose last inputs are u and last outputs y;
         discrete or continuous; D11 and D22 may be nonzero
     nmeas, ncon : number of outputs y and inputs u; needed unless P is a GeneralizedPlant; `ncont` is MATLAB's name
-    method : "auto", "lmi", "riccati", "standard" or "extended"
+    method : "auto", "riccati", "lmi", "standard" or "extended"
     gamma : a level to reach instead of the optimum; the LMI methods then return the analytic centre of what does
+    tol : relative distance from the optimum that the controller must reach; where it does not, `info.status` says so
 
     Returns
     -------
-    Design : unpacks as K, CL, gamma, info. `gamma` is the optimal level, or the one asked for, or, where the optimum
-        cannot be approached, the level that was; `verified_norm` <= 1.01 gamma is what the closed loop was measured
-        to have; `info.method` says which method answered.
+    Design : unpacks as K, CL, gamma, info. `gamma` is the verified norm of this controller: what the closed loop was
+        measured to have by two independent methods. `info.optimum` is the solver's claim of what is possible, no proof
+        (`design.certify()` proves both bounds), `info.method` says which method answered, `info.warnings` what to know.
 
     Raises
     ------
     ModelError : data that is no model: NaN, wrong shapes, an unspecified timebase.
     AssumptionError : (A, B2) is not stabilisable or (A, C2) not detectable; names the mode.
-    InfeasibleError : `gamma` cannot be reached; carries the best level that was.
+    InfeasibleError : `gamma` was not reached; carries the best level that was, and the proved lower bound.
     NumericalError : every route failed; `statuses` says how each of them did.
 
     References
@@ -108,104 +84,89 @@ def hinfsyn(
         raise ModelError(f"ncon = {ncon} and ncont = {ncont} are two names of one number; pass one of them")
     plant = as_plant(P, nmeas, ncont if ncon is None else ncon)
     as_choice("method", method, METHODS)
+    tol = as_number("tol", tol, "a relative distance from the optimum, 1e-3 for example", above=0)
     if gamma is not None:
         gamma = as_number("gamma", gamma, "a positive level, or None for the optimum", above=0)
     check_assumptions(plant)
-    discrete, to_plant = discretised(plant)
-    conditioned = precondition(discrete)
-    scale = conditioned.scale
-
-    def judged(K: StateSpace, level: float) -> Candidate:
-        controller = to_plant(conditioned.restore(K))
-        closed_loop = plant.close(controller)
-        return Candidate(controller, closed_loop, verify(closed_loop), level)
-
-    failures: dict[str, str] = {}
-    best: Design | None = None
-    for name in order_of_routes(method, plant.sizes[0]):
-        try:
-            route = make_route(name, conditioned.plant)
-            optimum, status = (gamma / scale, "level given") if gamma else route.minimise()
-        except NumericalError as error:
-            failures[name] = str(error)
-            continue
-        levels = [optimum] if gamma else [optimum * (1 + delta) for delta in route.backoff]
-        found = best_of(route, levels, lambda K, g: judged(K, g * scale), failures)
-        if found is None:
-            continue
-        norm, claim = found.measured.norm, optimum * scale
-        if gamma and norm > gamma:
-            failures[name] = f"best verified norm {norm:.6g} for a level of {gamma:.6g}"
-            continue
-        reached = claim if norm <= (1 + ACCEPT) * claim else norm
-        versions, date = provenance("cvxpy", "clarabel")
-        info = Info(
-            method=name,
-            status=status,
-            level=found.level,
-            spectral_radius=found.measured.spectral_radius,
-            frequency=found.measured.frequency,
-            seconds=time.perf_counter() - started,
-            solver=route.solver,
-            tolerance=route.tolerance,
-            failures=failures,
-            versions=versions,
-            date=date,
-        )
-        design = Design(plant, found.controller, found.closed_loop, gamma or min(reached, norm), norm, info)
-        if best is None or norm < best.verified_norm:
-            best = design
-        if gamma or norm >= claim * (1 - CONTRADICTED):
-            break
-        # the "optimum" was undercut, so it was none: ask the next route as well, keep the better design
-        failures[name] = f"the solver's optimum {claim:.7g} was undercut by a controller that reaches {norm:.7g}"
-    if best is not None:
-        return best
+    search = Search(plant, tol, make_route)
     if gamma is not None:
-        return suboptimal(plant, method, gamma)
-    reasons = "; ".join(f"{name}: {reason}" for name, reason in failures.items())
-    raise NumericalError(f"no method found a controller that verifies: {reasons}", failures)
+        first = ("riccati", "lmi") if method == "auto" and len(plant.A) <= LARGEST_LMI else (method,)
+        for name in ("riccati",) if first == ("auto",) else first:
+            found = search.reach(name, None, gamma)
+            if found is not None:
+                return finished(search, found, started)
+    search.optimise(method)
+    best = search.best
+    if best is None:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in search.failures.items())
+        raise NumericalError(f"no method found a controller that verifies: {reasons}", search.failures)
+    if gamma is not None and best.measured.norm > gamma:
+        raise not_reached(search, best, gamma)
+    return finished(search, best, started)
 
 
-def best_of(
-    route: Route,
-    levels: list[float],
-    judged: Callable[[StateSpace, float], Candidate],
-    failures: dict[str, str],
-) -> Candidate | None:
-    """The controller with the smallest verified norm, once one has kept its claim; None when none did.
-
-    A claim is kept when the norm is at the level the controller was designed for or, after all levels were tried,
-    near it.
-    """
-    best: Candidate | None = None
-    for level in levels:
-        try:
-            for K in route.controllers(level):
-                try:
-                    found = judged(K, level)
-                except SynthError as error:
-                    failures[f"attempt {len(failures) + 1}, level {level:.9g}"] = str(error)
-                    continue
-                if best is None or found.measured.norm < best.measured.norm:
-                    best = found
-                if found.measured.norm <= (1 + CLOSE) * found.level:
-                    return best
-        except (NumericalError, InfeasibleError) as error:
-            failures[f"attempt {len(failures) + 1}, level {level:.9g}"] = str(error)
-    return best if best is not None and best.measured.norm <= (1 + ACCEPT) * best.level else None
-
-
-def suboptimal(plant: GeneralizedPlant, method: str, gamma: float) -> Design:
-    """The optimal design where it is below `gamma`, an InfeasibleError where it is not."""
-    best = hinfsyn(plant, method=method)
-    if best.verified_norm <= gamma:
-        return replace(best, gamma=gamma)
-    raise InfeasibleError(
-        f"gamma = {gamma:.7g} cannot be reached; the best verified level is {best.verified_norm:.7g} "
-        f"(optimum {best.gamma:.7g} by {best.info.method!r})",
-        best=best.verified_norm,
+def finished(search: Search, found: Candidate, started: float) -> Design:
+    """The design of a controller that was measured."""
+    plant, measured = search.plant, found.measured
+    versions, date = provenance(*(() if found.solver == "doubling" else ("cvxpy", "clarabel")))
+    told = tuple(search.warnings()) if found is search.best else ()
+    slowest, why = slowest_pole(plant, found.closed_loop)
+    info = Info(
+        method=found.method,
+        status="; ".join((found.status, *told)),
+        level=found.level,
+        optimum=search.optimum,
+        spectral_radius=measured.spectral_radius,
+        slowest=slowest,
+        frequency=measured.frequency,
+        seconds=time.perf_counter() - started,
+        solver=found.solver,
+        tolerance=found.tolerance,
+        warnings=(*told, *why),
+        failures=dict(search.failures),
+        versions=versions,
+        date=date,
     )
+    return Design(plant, found.controller, found.closed_loop, measured.norm, info)
+
+
+def not_reached(search: Search, best: Candidate, gamma: float) -> InfeasibleError:
+    """The error for a level that was asked for and not reached, with what is proved about it."""
+    norm, lower = best.measured.norm, 0.0
+    if len(search.plant.A) <= PROVABLE:
+        from synth.proof.witnesses import find_lower
+
+        try:
+            found, _ = find_lower(search.plant, norm, None, BITS)
+            lower = found[0] if found else 0.0
+        except (SynthError, np.linalg.LinAlgError):  # then nothing is proved
+            lower = 0.0
+    best_so_far = f"the best verified level is {norm:.7g} (by {best.method!r})"
+    if lower >= gamma:
+        text = f"gamma = {gamma:.7g} cannot be reached: no controller goes below {lower:.7g}, which is proved"
+        return InfeasibleError(f"{text}; {best_so_far}", best=norm, lower=lower)
+    proved = f"proved impossible is only what is below {lower:.7g}" if lower else "nothing is proved impossible"
+    return InfeasibleError(f"gamma = {gamma:.7g} was not reached: {best_so_far}, {proved}", best=norm, lower=lower)
+
+
+def slowest_pole(plant: GeneralizedPlant, closed_loop: StateSpace) -> tuple[float, tuple[str, ...]]:
+    """The slowest decay of the loop in rad/s, and a warning where the design hardly moved it off the boundary."""
+    own, loop = _decays(plant.system), _decays(closed_loop)
+    slowest = float(loop.min(initial=np.inf))
+    slow = STUCK * float(np.median(loop)) if loop.size else 0.0
+    inherited = np.any((own > 0) & (np.abs(own - slowest) <= 0.5 * slowest))  # as of a slow weight
+    if slowest > slow or inherited or not np.any(own < slow):
+        return slowest, ()
+    return slowest, (
+        f"a pole of the loop decays at {slowest:.2g} rad/s only, half in {np.log(2) / slowest:.2g} s: nothing in z asks "
+        "for more, and rounding placed it; weigh the state behind it, or take it out of the model",
+    )
+
+
+def _decays(G: StateSpace) -> np.ndarray:
+    """Rates at which the modes decay, rad/s."""
+    poles = G.poles()
+    return -np.log(np.maximum(np.abs(poles), 1e-300)) / G.dt if G.discrete else -np.real(poles)
 
 
 def as_plant(P: Any, nmeas: int | None, ncon: int | None) -> GeneralizedPlant:
@@ -222,18 +183,9 @@ def as_plant(P: Any, nmeas: int | None, ncon: int | None) -> GeneralizedPlant:
     return P
 
 
-def order_of_routes(method: str, n: int) -> tuple[str, ...]:
-    """The methods to try, in order, for a plant of order `n`."""
-    if method != "auto":
-        return (method,)
-    return ("lmi", "riccati") if n <= LARGEST_LMI else ("riccati", "lmi")
-
-
 def make_route(name: str, plant: GeneralizedPlant) -> Route:
     """The method of that name on a conditioned plant; CVXPY is imported here, when it is needed."""
     if name == "riccati":
-        from synth.equations.hinf_riccati import RiccatiRoute
-
         return RiccatiRoute.of(plant)
     if name == "lmi":
         from synth.lmi.eliminate import Eliminated

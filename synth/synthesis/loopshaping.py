@@ -33,12 +33,13 @@ from synth.equations.doubling import FINAL_RESIDUAL
 from synth.errors import InfeasibleError, ModelError, NumericalError, VerificationError
 from synth.files import provenance
 from synth.synthesis.design import Design, Info, Shaping
+from synth.synthesis.hinfinity import slowest_pole
 from synth.systems.connect import check_dynamic, series
 from synth.systems.sampled import apart, loop_moduli, on_circle
 from synth.systems.statespace import StateSpace, as_system, common_timebase, repeated
 from synth.threads import one_thread
 
-METHODS = ("lmi", "riccati")
+METHODS = ("riccati", "lmi")
 AGREE = 1e-3  # relative difference of the two optimal levels beyond which the semidefinite program is not believed
 INSIDE = 1e-6  # the controller for a level is made for one lower by this part, or half way to the optimum if nearer
 
@@ -60,7 +61,7 @@ def ncfsyn(
     *,
     gamma_factor: float = 1.1,
     gamma: float | None = None,
-    method: str = "lmi",
+    method: str = "riccati",
 ) -> Design:
     """Controller u = W1 Ks W2 y (positive feedback) that robustly stabilises the shaped plant W2 G W1.
 
@@ -74,15 +75,15 @@ def ncfsyn(
     W2 : weight behind the plant, p inputs; likewise
     gamma_factor : the level asked for, over the optimal one; above 1
     gamma : the level itself, instead of `gamma_factor`
-    method : "lmi" or "riccati", what finds the optimal level. `info.method` says which one was believed: where they
-        differ by more than 1e-3 it is the Riccati equations, and `info.failures` has the reason
+    method : "riccati" or "lmi", what finds the optimal level. `info.method` says which one was believed: where they
+        differ by more than 1e-3 it is the Riccati equations, and `info.warnings` says so
 
     Returns
     -------
     Design : `controller` is W1 Ks W2, `shaping` holds W1, W2 and Ks; `plant` is the four-block problem
-        [I; Ks] (I - Gs Ks)^-1 [I, Gs] that Ks closes, Gs with balanced states; `gamma` the level asked for,
-        `verified_norm` <= gamma what was measured, `info.gamma_min` the optimal level. 1 / `verified_norm` is the
-        guaranteed margin of `ncfmargin`.
+        [I; Ks] (I - Gs Ks)^-1 [I, Gs] that Ks closes, Gs with balanced states; `info.level` is the level asked
+        for, `gamma` <= level what was measured, `info.optimum` the optimal level. 1 / gamma is the guaranteed margin
+        of `ncfmargin`.
 
     Raises
     ------
@@ -123,23 +124,26 @@ def ncfsyn(
             f"{optimum.gamma:.9g}); ask for a larger gamma"
         )
     lmi = optimum.method == "lmi"
+    told = tuple(f"{name!r} was not believed: {reason}" for name, reason in optimum.failures.items())
     versions, date = provenance(*(("cvxpy", "clarabel") if lmi else ()))
     info = Info(
         method=optimum.method,
-        status=optimum.status,
+        status="; ".join((optimum.status, *told)),
         level=level,
+        optimum=optimum.gamma,
         spectral_radius=measured.spectral_radius,
+        slowest=slowest_pole(plant, closed_loop)[0],
         frequency=measured.frequency,
         seconds=time.perf_counter() - started,
         solver="clarabel" if lmi else "doubling",
         tolerance=AGREE if lmi else FINAL_RESIDUAL,
+        warnings=told,
         failures=optimum.failures,
         versions=versions,
         date=date,
-        gamma_min=optimum.gamma,
     )
     shaping = Shaping(W1, W2, Ks)
-    return Design(plant, shaping.controller, closed_loop, level, measured.norm, info, shaping)
+    return Design(plant, shaping.controller, closed_loop, measured.norm, info, shaping)
 
 
 def shaped(G: StateSpace, W1: Any, W2: Any) -> tuple[StateSpace, StateSpace, StateSpace]:

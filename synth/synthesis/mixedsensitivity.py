@@ -25,7 +25,7 @@ from synth.analysis.norms import balance, is_stable, verify
 from synth.checks import as_number
 from synth.errors import AssumptionError, ModelError, VerificationError
 from synth.synthesis.design import Design
-from synth.synthesis.hinfinity import hinfsyn
+from synth.synthesis.hinfinity import TOLERANCE, hinfsyn, slowest_pole
 from synth.systems.connect import check_dynamic, feedback
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace, as_system, common_timebase, repeated
@@ -99,6 +99,7 @@ def mixsyn(
     shift: float = 0.0,
     method: str = "auto",
     gamma: float | None = None,
+    tol: float = TOLERANCE,
 ) -> Design:
     """Controller u = K (r - y) that minimises the H-infinity norm of [W1 S; W2 K S; W3 T].
 
@@ -107,17 +108,17 @@ def mixsyn(
     G, W1, W2, W3 : as in `augw`
     shift : e >= 0 in rad/s; needed where G has poles on the stability boundary. The controller is designed for
         G(s - e) with the weights as given, and moved back.
-    method, gamma : as in `hinfsyn`
+    method, gamma, tol : as in `hinfsyn`
 
     Returns
     -------
     Design : unpacks as K, CL, gamma, info; `plant` is `augw` of G itself.
 
-        Without a shift as `hinfsyn` has it. With a shift, `gamma` and `info.shifted_norm` are the optimum and the
-        verified norm for G(s - e). Guaranteed is then what follows for G itself: the poles of the loop of G and K
+        Without a shift as `hinfsyn` has it. With a shift, `info.optimum` and `info.shifted_norm` are the optimum and
+        the verified norm for G(s - e). Guaranteed is then what follows for G itself: the poles of the loop of G and K
         lie left of -e (measured: to rounding), and
         [W1(s + e) S; W2(s + e) K S; W3(s + e) T] has at most the norm `info.shifted_norm`. The norm with the weights
-        as given, W(s), is `verified_norm`: measured on the true loop, below or above gamma.
+        as given, W(s), is `gamma`: measured on the true loop, below or above the optimum.
 
     Raises
     ------
@@ -131,7 +132,7 @@ def mixsyn(
     plant, moved = augw(G, W1, W2, W3), shifted(G, shift)
     check_dynamic("the plant of G and its weights", plant.system)
     check_boundary(moved, shift)
-    design = hinfsyn(augw(moved, W1, W2, W3), method=method, gamma=gamma)
+    design = hinfsyn(augw(moved, W1, W2, W3), method=method, gamma=gamma, tol=tol)
     if shift == 0:
         return design
     K = shifted(design.controller, -shift)
@@ -141,11 +142,12 @@ def mixsyn(
     info = replace(
         design.info,
         spectral_radius=measured.spectral_radius,
+        slowest=slowest_pole(plant, closed_loop)[0],
         frequency=measured.frequency,
         shift=float(shift),
         shifted_norm=design.verified_norm,
     )
-    return Design(plant, K, closed_loop, design.gamma, measured.norm, info)
+    return Design(plant, K, closed_loop, measured.norm, info)
 
 
 def shifted(G: StateSpace, e: float) -> StateSpace:

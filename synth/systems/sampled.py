@@ -146,7 +146,7 @@ def design_rate(P: GeneralizedPlant) -> float:
     measurement has no noise, the loop would be infinitely fast: as much is added as the signal does at the rate that
     the others, or the plant's poles, have.
     """
-    n, nw, _, nz, _ = P.sizes
+    _, nw, _, nz, _ = P.sizes
     A, B, C, D = rescaled(P.system.matrices, state_scales(P.system.matrices))
     control = A, B[:, nw:], C[:nz], D[:nz, nw:]
     estimation = A.T, C[nz:].T, B[:, :nw].T, D[nz:, :nw].T
@@ -202,12 +202,46 @@ def _hamiltonian_poles(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarra
     return np.linalg.eigvals(np.block([[A - B @ F, -G], [S @ F - C.T @ C, -(A - B @ F).T]]))
 
 
+def moebius(G: StateSpace, c: float) -> StateSpace:
+    """Norm-preserving map of a discrete system to another, z = (z' - c)/(1 - c z') with |c| < 1; -c is the way back.
+
+    It is the same as to continuous time and back at another rate.
+
+    Raises
+    ------
+    ModelError : -1/c is an eigenvalue of A.
+    """
+    scales = state_scales(G.matrices)
+    A, B, C, D = rescaled(G.matrices, scales)
+    I = np.eye(G.n)
+    E, root = I + c * A, np.sqrt(1 - c**2)
+    if G.n and not np.linalg.cond(E) < ILL_CONDITIONED:
+        raise ModelError(f"{-1 / c} is an eigenvalue of A: choose another c for the map of the unit disk")
+    mapped = Matrices(
+        np.linalg.solve(E, A + c * I),
+        root * np.linalg.solve(E, B),
+        root * np.linalg.solve(E.T, C.T).T,
+        D - c * C @ np.linalg.solve(E, B),
+    )
+    return StateSpace(*rescaled(mapped, 1 / scales), G.dt)
+
+
 def discretised(
     plant: GeneralizedPlant, rate: float | None = None
 ) -> tuple[GeneralizedPlant, Callable[[StateSpace], StateSpace]]:
-    """A discrete plant with the same norms, and the way back for its controllers; `rate` as `design_rate` has it."""
-    if plant.dt > 0:
-        return plant, lambda K: K
+    """A discrete plant with the same norms, and the way back for its controllers.
+
+    Without a rate a continuous plant is mapped at its `design_rate`, and a discrete one stays as it is.
+
+    Raises
+    ------
+    ModelError : the rate is a pole of the plant.
+    """
     _, _, nu, _, ny = plant.sizes
-    r = design_rate(plant) if rate is None else rate
-    return GeneralizedPlant.partition(cayley(plant.system, r), ny, nu), lambda K: inverse_cayley(K, r)
+    if plant.dt == 0:
+        r = design_rate(plant) if rate is None else rate
+        return GeneralizedPlant.partition(cayley(plant.system, r), ny, nu), lambda K: inverse_cayley(K, r)
+    if rate is None:
+        return plant, lambda K: K
+    c = (rate - 2 / plant.dt) / (rate + 2 / plant.dt)
+    return GeneralizedPlant.partition(moebius(plant.system, c), ny, nu), lambda K: moebius(K, -c)

@@ -80,11 +80,12 @@ def test_version(synth):
 def test_info(synth):
     code, out, _ = synth("info", "cubesat.json", "plant.json", "generalised.json", "shaped.json")
     assert code == 0
-    assert "gamma              4.157925" in out
+    assert "optimum            4.157925" in out
+    assert "gamma              4.157962" in out
     assert "force [N]" in out
     found = json.loads(synth("info", "cubesat.json", "--json")[1])[0]
     design = Design.load("cubesat.json")
-    assert found["verified_norm"] == design.verified_norm
+    assert found["gamma"] == found["verified_norm"] == design.gamma
     assert found["plant_sha256"] == design.plant.system.digest()
     assert found["versions"] == design.info.versions
     assert found["controls"] == list(design.plant.u)

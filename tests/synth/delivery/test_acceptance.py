@@ -57,7 +57,10 @@ def test_conditions_are_what_they_say(cubesat, accepted):
     late, (norm, _) = delayed(K), hinfnorm(P.close(delayed(K)))
     omega = 0.3
     np.testing.assert_allclose(
-        late.frequency_response(omega), K.frequency_response(omega) * np.exp(-1j * omega * K.dt), rtol=1e-12
+        late.frequency_response(omega),
+        K.frequency_response(omega) * np.exp(-1j * omega * K.dt),
+        rtol=1e-12,
+        atol=1e-12 * np.abs(K.frequency_response(omega)).max(),  # the axes are nearly decoupled
     )
     assert lines(accepted)["one sample of delay"].norm == pytest.approx(norm, rel=1e-5)
     rounded = StateSpace(*(np.float32(getattr(K, name)).astype(float) for name in "ABCD"), K.dt)
@@ -85,9 +88,9 @@ def test_requirements_that_are_missed_are_named(cubesat):
 
 
 def test_a_continuous_design_needs_its_sampling_time():
-    """The optimal controller of AC2 has poles far beyond any processor: held over 10 ms its loop is unstable."""
+    """The LMIs' controller of AC2 has poles far beyond any processor: held over 10 ms its loop is unstable."""
     plant = compleib()["ac2"][0]
-    design = hinfsyn(plant)
+    design = hinfsyn(plant, method="lmi")
     with pytest.raises(ModelError, match="pass dt"):
         accept(design)
     found = lines(accept(design, dt=0.01))
