@@ -158,8 +158,8 @@ def slowest_pole(plant: GeneralizedPlant, closed_loop: StateSpace) -> tuple[floa
     if slowest > slow or inherited or not np.any(own < slow):
         return slowest, ()
     return slowest, (
-        f"a pole of the loop decays at {slowest:.2g} rad/s only, half in {np.log(2) / slowest:.2g} s: nothing in z asks "
-        "for more, and rounding placed it; weigh the state behind it, or take it out of the model",
+        f"a pole of the loop decays at {slowest:.2g} rad/s only, half in {np.log(2) / slowest:.2g} s: nothing in z "
+        "asks for more, and rounding placed it; weigh the state behind it, or take it out of the model",
     )
 
 
