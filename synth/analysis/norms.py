@@ -15,8 +15,8 @@ Systems & Control Letters 15, 1; bounded real lemma: de Souza and Xie (1992), Sy
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg as sla
@@ -31,12 +31,13 @@ from synth.systems.sampled import cayley, pole_rate
 from synth.systems.statespace import StateSpace, as_system
 from synth.threads import one_thread
 
+TOLERANCE = 1e-7  # relative, of the peak
 CONFIRM = (*(10.0**k for k in range(-7, 9)),)  # relative margins at which the second method confirms the first
 ROUNDOFF = 1e-9  # a norm below this part of the closed loop's own entries is reported as this part
 DIGITS = 1e-3  # of the norm: what rounding of the closed loop's own matrix may change
 NEGLIGIBLE = 1e-8  # of the norm: what states that hardly matter may have in it
 LARGE = 60  # states from which on the level-set method is left out where the bounded-real equation confirms a climb
-CLIMBS = 6  # local maxima that are climbed then
+CLIMBS = 4  # local maxima that are climbed then
 GOLDEN = (np.sqrt(5) - 1) / 2
 NEAR_CIRCLE = 1e-4  # an eigenvalue this near the unit circle is a candidate crossing; candidates are then evaluated
 
@@ -78,7 +79,7 @@ def h2norm(system: Any) -> float:
 
 
 @one_thread
-def hinfnorm(system: Any, tol: float = 1e-7) -> tuple[float, float]:
+def hinfnorm(system: Any, tol: float = TOLERANCE) -> tuple[float, float]:
     """H-infinity norm and the frequency (rad/s) of the peak, from below to relative accuracy `tol`.
 
     inf for an unstable system, with the frequency of the pole that is farthest out. The value is a singular value
@@ -86,16 +87,12 @@ def hinfnorm(system: Any, tol: float = 1e-7) -> tuple[float, float]:
     """
     G = as_system("the system", system)
     tol = as_number("tol", tol, "a relative tolerance, 1e-9 for example", above=0)
-    if not is_stable(G):
-        poles = G.poles()
+    poles = G.poles()
+    if _boundary_distance(G, poles) <= 0:
         worst = poles[np.argmax(np.abs(poles) if G.discrete else np.real(poles))]
         return np.inf, float(abs(np.angle(worst)) / G.dt if G.discrete else abs(worst.imag))
-    if G.discrete:
-        norm, theta = _peak(balance(G), tol)
-        return norm, theta / G.dt
-    rate = pole_rate(G)
-    norm, theta = _peak(balance(cayley(G, rate)), tol)
-    return norm, float(rate * np.tan(theta / 2))
+    found = _on_circle(G, poles, tol)
+    return found.peak, found.frequency
 
 
 @dataclass(frozen=True)
@@ -106,6 +103,7 @@ class Verification:
     norm: float  # verified bound on the H-infinity norm, within 1e-7 of the peak unless rounding forbids
     peak: float  # largest singular value that was found, <= norm
     frequency: float  # rad/s, where the peak is
+    poles: np.ndarray = field(repr=False, compare=False)  # (n,) of the closed loop
 
 
 @one_thread
@@ -118,16 +116,46 @@ def verify(system: Any) -> Verification:
     """
     G = as_system("the system", system)
     poles = G.poles()
-    radius = spectral_radius(G.A) if G.discrete else float(np.real(poles).max(initial=-np.inf))
-    if not is_stable(G):
+    radius = float(np.abs(poles).max(initial=0.0) if G.discrete else np.real(poles).max(initial=-np.inf))
+    if _boundary_distance(G, poles) <= 0:
         what = "spectral radius" if G.discrete else "largest real part of a pole"
         raise VerificationError(f"the closed loop is unstable: {what} {radius:.9g}")
-    peak, frequency = hinfnorm(G)
-    H = balance(G) if G.discrete else balance(cayley(G, pole_rate(G)))
+    found = _on_circle(G, poles, TOLERANCE)
+    H = found.system
     floor = ROUNDOFF * float(np.linalg.norm(H.D, 2) + np.linalg.norm(H.C, 2) * np.linalg.norm(H.B, 2))
-    if peak < floor:  # a loop in which nearly everything cancels: what rounding leaves of it is known better
+    if found.peak < floor:  # a loop in which nearly everything cancels: what rounding leaves of it is known better
         floor = min(floor, rounding(H))
-    return Verification(radius, confirm(H, max(peak, floor)), peak, frequency)
+    if found.confirmed and found.peak >= floor:
+        norm = found.peak * (1 + CONFIRM[0])
+    else:
+        norm = confirm(H, max(found.peak, floor))
+    return Verification(radius, norm, found.peak, found.frequency, poles)
+
+
+class _Found(NamedTuple):
+    """The peak of a stable system, and the balanced discrete system that it was found on."""
+
+    system: StateSpace
+    peak: float
+    frequency: float  # rad/s
+    confirmed: bool  # the bounded-real equation has a solution just above the peak
+
+
+def _boundary_distance(G: StateSpace, poles: np.ndarray) -> float:
+    """How far the poles are inside the unit circle or the left half plane; 0 or less for an unstable system."""
+    return float(1 - np.abs(poles).max(initial=0.0) if G.discrete else -np.real(poles).max(initial=-1.0))
+
+
+def _on_circle(G: StateSpace, poles: np.ndarray, tol: float) -> _Found:
+    """The peak of a stable system to the relative accuracy `tol`."""
+    if G.discrete:
+        H = balance(G)
+        peak, theta, confirmed = _peak(H, tol)
+        return _Found(H, peak, theta / G.dt, confirmed)
+    rate = pole_rate(poles)
+    H = balance(cayley(G, rate))
+    peak, theta, confirmed = _peak(H, tol)
+    return _Found(H, peak, float(rate * np.tan(theta / 2)), confirmed)
 
 
 def check_digits(P: GeneralizedPlant, K: StateSpace, closed_loop: StateSpace, measured: Verification) -> None:
@@ -167,12 +195,12 @@ def confirm(G: StateSpace, peak: float) -> float:
     """
     if peak == 0:
         return 0.0
-    if bounded_real(G, peak * (1 + CONFIRM[0])) is not None:
+    if bounded_real(G, peak * (1 + CONFIRM[0]), stable=True) is not None:
         return float(peak * (1 + CONFIRM[0]))
     reduced, share = balanced_truncation(G, NEGLIGIBLE * peak)
     for margin in CONFIRM:
         for H, added in ((reduced, share), (G, 0.0)):
-            if bounded_real(H, peak * (1 + margin)) is not None:
+            if bounded_real(H, peak * (1 + margin), stable=H is G) is not None:
                 return float(peak * (1 + margin) + added)
     raise VerificationError(
         f"the level-set method finds a norm of {peak:.6g}, the bounded-real Riccati equation has no solution "
@@ -180,29 +208,29 @@ def confirm(G: StateSpace, peak: float) -> float:
     )
 
 
-def _peak(G: StateSpace, tol: float) -> tuple[float, float]:
-    """Peak gain of a stable discrete system and its angle on the unit circle."""
+def _peak(G: StateSpace, tol: float) -> tuple[float, float, bool]:
+    """Peak gain of a stable discrete system, its angle on the unit circle, and whether it was confirmed from above."""
     if G.n == 0:
-        return float(np.linalg.norm(G.D, 2)), 0.0
-    gain = _gain(G)
-    poles = G.poles()
+        return float(np.linalg.norm(G.D, 2)), 0.0, True
+    gain, poles = _gain(G)
     angles = np.unique(np.concatenate([np.abs(np.angle(poles)), np.geomspace(1e-5, np.pi, 40), [0.0, np.pi]]))
     values = np.array([gain(t) for t in angles])
     best = int(np.argmax(values))
     level, angle = float(values[best]), float(angles[best])
     if level == 0.0:
-        return 0.0, 0.0
+        return 0.0, 0.0, True
     if G.n >= LARGE:  # the pencil is dear: climb first, and leave it if the Riccati equation says that this is the top
         level, angle = _highest(gain, angles, values)
-        if bounded_real(G, level * (1 + CONFIRM[0])) is not None:
-            return level, angle
+        if bounded_real(G, level * (1 + CONFIRM[0]), stable=True) is not None:
+            return level, angle, True
     for _ in range(60):
         crossings = _crossings(G, level * (1 + tol))
         middles = np.concatenate([(crossings[1:] + crossings[:-1]) / 2, crossings])
         values = [gain(t) for t in middles]
         if not values or max(values) <= level * (1 + tol):
             width = max(1e-4 * angle, 1e-9)
-            return max((level, angle), _climb(gain, max(angle - width, 0.0), min(angle + width, np.pi)))
+            top = _climb(gain, max(angle - width, 0.0), min(angle + width, np.pi))
+            return *max((level, angle), top), False
         best = int(np.argmax(values))
         level, angle = values[best], float(middles[best])
     raise NumericalError("the level-set iteration for the H-infinity norm did not end in 60 steps")
@@ -221,7 +249,8 @@ def _climb(gain: Gain, low: float, high: float) -> tuple[float, float]:
     """The local maximum of the gain in an interval of angles, and where it is, by golden section."""
     a, b = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
     fa, fb = gain(a), gain(b)
-    while high - low > 1e-9 * high:
+    narrow = 1e-6 * (high - low)  # the top is flat: the gain is known to the square of that
+    while high - low > narrow:
         if fa > fb:
             high, b, fb = b, a, fa
             a = high - GOLDEN * (high - low)
@@ -233,16 +262,17 @@ def _climb(gain: Gain, low: float, high: float) -> tuple[float, float]:
     return max((fa, float(a)), (fb, float(b)))
 
 
-def _gain(G: StateSpace) -> Gain:
-    """The function angle -> largest singular value of G(e^{j angle}); one Schur form serves every frequency."""
-    T, Z = sla.schur(G.A.astype(complex), output="complex")[:2]
-    ZB, CZ, eye = Z.conj().T @ G.B, G.C @ Z, np.eye(G.n)
+def _gain(G: StateSpace) -> tuple[Gain, np.ndarray]:
+    """The function angle -> largest singular value of G(e^{j angle}), and the poles; one Schur form serves them all."""
+    T, Z = sla.rsf2csf(*sla.schur(G.A, output="real")[:2])
+    poles, ZB, CZ, E = np.diag(T).copy(), Z.conj().T @ G.B, G.C @ Z, np.asfortranarray(-T)
 
     def gain(angle: float) -> float:
-        X = sla.solve_triangular(np.exp(1j * angle) * eye - T, ZB, check_finite=False)
+        np.fill_diagonal(E, np.exp(1j * angle) - poles)
+        X = sla.solve_triangular(E, ZB, check_finite=False)
         return float(np.linalg.norm(CZ @ X + G.D, 2))
 
-    return gain
+    return gain, poles
 
 
 def _crossings(G: StateSpace, level: float) -> np.ndarray:

@@ -10,6 +10,7 @@ time); Smith (1968), SIAM J. Applied Mathematics 16, 198 (doubling).
 from __future__ import annotations
 
 import numpy as np
+import scipy.linalg as sla
 
 from synth.systems.statespace import StateSpace
 
@@ -23,30 +24,38 @@ def balanced_truncation(G: StateSpace, error: float) -> tuple[StateSpace, float]
     Nothing is inverted: the transformation is made of factors of the Gramians, so that states that are not reached
     or not seen at all do no harm.
     """
-    reached, seen = _gramian_factor(G.A, G.B), _gramian_factor(G.A.T, G.C.T)
+    A, Z = sla.schur(G.A, output="real")[:2]  # whose powers are triangular, so that no rounding makes them grow
+    B, C = Z.T @ G.B, G.C @ Z
+    reached, seen = _gramian_factor(A, B), _gramian_factor(A.T, C.T)
+    if not (np.isfinite(reached).all() and np.isfinite(seen).all()):  # so near the boundary that rounding crosses it
+        return G, 0.0
     U, sigma, Vt = np.linalg.svd(seen.T @ reached)
     tails = 2 * np.append(np.cumsum(sigma[::-1])[::-1], 0.0)  # of what is left out when k are kept
     k = int(np.argmax(tails <= error))
     root = np.sqrt(sigma[:k])
     T, Ti = reached @ Vt[:k].T / root, (seen @ U[:, :k] / root).T
-    return StateSpace(Ti @ G.A @ T, Ti @ G.B, G.C @ T, G.D, G.dt), float(tails[k])
+    return StateSpace(Ti @ A @ T, Ti @ B, C @ T, G.D, G.dt), float(tails[k])
 
 
 def rounding(G: StateSpace) -> float:
     """What rounding alone may leave of the H-infinity norm of a stable discrete system in which everything cancels."""
-    reached, seen = _gramian_factor(G.A, G.B), _gramian_factor(G.A.T, G.C.T)
+    A, Z = sla.schur(G.A, output="real")[:2]
+    reached, seen = _gramian_factor(A, Z.T @ G.B), _gramian_factor(A.T, Z.T @ G.C.T)
+    if not (np.isfinite(reached).all() and np.isfinite(seen).all()):
+        return np.inf
     largest = np.linalg.norm(reached, 2) * np.linalg.norm(seen, 2) + np.linalg.norm(G.D, 2)
     return float(2 * max(G.n, 1) * np.finfo(float).eps * largest)
 
 
 def _gramian_factor(A: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """L with L L' = sum of A^k B B' A'^k, at most as wide as A."""
+    """L with L L' = sum of A^k B B' A'^k, at most as wide as A; not finite where the sum is not."""
     L = B
-    for _ in range(MAX_DOUBLINGS):
-        L = np.hstack([L, A @ L])
-        if L.shape[1] > len(A):
-            L = np.asarray(np.linalg.qr(L.T, mode="r")).T
-        A = A @ A
-        if not np.linalg.norm(A) > SETTLED:
-            break
+    with np.errstate(all="ignore"):
+        for _ in range(MAX_DOUBLINGS):
+            L = np.hstack([L, A @ L])
+            if L.shape[1] > len(A):
+                L = np.asarray(np.linalg.qr(L.T, mode="r")).T
+            A = A @ A
+            if not np.linalg.norm(A) > SETTLED:
+                break
     return L

@@ -128,8 +128,12 @@ def regularised_lqr(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, 
     )
 
 
-def bounded_real(G: StateSpace, gamma: float) -> np.ndarray | None:
+def bounded_real(G: StateSpace, gamma: float, *, stable: bool = False) -> np.ndarray | None:
     """Proof that a discrete system is stable with H-infinity norm below `gamma`, or None.
+
+    Parameters
+    ----------
+    stable : True where the caller knows that it is stable
 
     Returns
     -------
@@ -143,7 +147,7 @@ def bounded_real(G: StateSpace, gamma: float) -> np.ndarray | None:
     B, C, D = G.B / np.sqrt(gamma), G.C / np.sqrt(gamma), G.D / gamma
     if G.n == 0:
         return np.zeros((0, 0)) if np.linalg.norm(D, 2) < 1 else None
-    if np.abs(G.poles()).max() >= 1:
+    if not stable and np.abs(G.poles()).max() >= 1:
         return None
     R = D.T @ D - np.eye(D.shape[1])
     if not is_positive(-R):

@@ -49,7 +49,7 @@ MAX_POLICIES = 30
 
 def find_upper(P: GeneralizedPlant, K: StateSpace, level: float, bits: int) -> UpperWitness | None:
     """Coordinates that prove a norm below `level`, or None when none were found."""
-    rate = 0.0 if P.dt else pole_rate(P.close(K))
+    rate = 0.0 if P.dt else pole_rate(P.close(K).poles())
     with ctx.workprec(bits):
         G = balls.closed_loop(P, K, rate)
         T0 = _scales(*(balls.rounded(M) for M in (G.A, G.B, G.C)))

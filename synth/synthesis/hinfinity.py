@@ -26,7 +26,6 @@ from synth.files import provenance
 from synth.synthesis.design import Design, Info
 from synth.synthesis.search import LARGEST_LMI, Candidate, Route, Search
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace
 from synth.threads import one_thread
 
 STUCK = 1e-5  # of the median decay: what is slower was not placed on purpose
@@ -110,7 +109,7 @@ def finished(search: Search, found: Candidate, started: float) -> Design:
     plant, measured = search.plant, found.measured
     versions, date = provenance(*(() if found.solver == "doubling" else ("cvxpy", "clarabel")))
     told = tuple(search.warnings()) if found is search.best else ()
-    slowest, why = slowest_pole(plant, found.closed_loop)
+    slowest, why = slowest_pole(plant, measured.poles)
     info = Info(
         method=found.method,
         status="; ".join((found.status, *told)),
@@ -149,9 +148,9 @@ def not_reached(search: Search, best: Candidate, gamma: float) -> InfeasibleErro
     return InfeasibleError(f"gamma = {gamma:.7g} was not reached: {best_so_far}, {proved}", best=norm, lower=lower)
 
 
-def slowest_pole(plant: GeneralizedPlant, closed_loop: StateSpace) -> tuple[float, tuple[str, ...]]:
+def slowest_pole(plant: GeneralizedPlant, poles: np.ndarray) -> tuple[float, tuple[str, ...]]:
     """The slowest decay of the loop in rad/s, and a warning where the design hardly moved it off the boundary."""
-    own, loop = _decays(plant.system), _decays(closed_loop)
+    own, loop = _decays(plant.system.poles(), plant.dt), _decays(poles, plant.dt)
     slowest = float(loop.min(initial=np.inf))
     slow = STUCK * float(np.median(loop)) if loop.size else 0.0
     inherited = np.any((own > 0) & (np.abs(own - slowest) <= 0.5 * slowest))  # as of a slow weight
@@ -163,10 +162,9 @@ def slowest_pole(plant: GeneralizedPlant, closed_loop: StateSpace) -> tuple[floa
     )
 
 
-def _decays(G: StateSpace) -> np.ndarray:
-    """Rates at which the modes decay, rad/s."""
-    poles = G.poles()
-    return -np.log(np.maximum(np.abs(poles), 1e-300)) / G.dt if G.discrete else -np.real(poles)
+def _decays(poles: np.ndarray, dt: float) -> np.ndarray:
+    """Rates at which modes decay, rad/s."""
+    return -np.log(np.maximum(np.abs(poles), 1e-300)) / dt if dt else -np.real(poles)
 
 
 def as_plant(P: Any, nmeas: int | None, ncon: int | None) -> GeneralizedPlant:

@@ -132,7 +132,7 @@ def ncfsyn(
         level=level,
         optimum=optimum.gamma,
         spectral_radius=measured.spectral_radius,
-        slowest=slowest_pole(plant, closed_loop)[0],
+        slowest=slowest_pole(plant, measured.poles)[0],
         frequency=measured.frequency,
         seconds=time.perf_counter() - started,
         solver="clarabel" if lmi else "doubling",
@@ -170,7 +170,7 @@ def optimal(G: StateSpace, riccati: Solutions, method: str) -> Optimum:
         middle = float(np.exp(np.log(loop_moduli(G)).mean()))
         try:
             H = balanced(G, riccati)
-            level, status = optimal_level(*on_circle(apart(middle, H), H))
+            level, status = optimal_level(*on_circle(apart(middle, H.poles()), H))
             if abs(level - reference) <= AGREE * reference:
                 return Optimum(level, "lmi", f"{status}; Riccati equations {reference:.9g}", failures)
             failures["lmi"] = f"{status}, level {level:.9g} against {reference:.9g} of the Riccati equations"

@@ -142,7 +142,7 @@ def mixsyn(
     info = replace(
         design.info,
         spectral_radius=measured.spectral_radius,
-        slowest=slowest_pole(plant, closed_loop)[0],
+        slowest=slowest_pole(plant, measured.poles)[0],
         frequency=measured.frequency,
         shift=float(shift),
         shifted_norm=design.verified_norm,

@@ -118,25 +118,24 @@ def on_circle(rate: float, *systems: StateSpace) -> list[StateSpace]:
     return [G if G.discrete else cayley(G, rate) for G in systems]
 
 
-def apart(rate: float, *systems: StateSpace) -> float:
-    """The rate, or the next larger one that keeps its distance from every pole of the systems."""
-    poles = np.concatenate([G.poles() for G in systems])
+def apart(rate: float, poles: np.ndarray) -> float:
+    """The rate, or the next larger one that keeps its distance from every pole."""
     while poles.size and np.abs(poles - rate).min() < APART * rate:
         rate *= 1 + 2 * APART
     return rate
 
 
-def pole_rate(G: StateSpace) -> float:
-    """A rate in rad/s for a closed loop: the geometric mean of the pole moduli."""
-    moduli = np.abs(G.poles())
+def pole_rate(poles: np.ndarray) -> float:
+    """A rate in rad/s for a closed loop: the geometric mean of the moduli of its poles."""
+    moduli = np.abs(poles)
     moduli = moduli[moduli > SLOW * moduli.max(initial=0.0)]
-    return apart(float(np.exp(np.log(moduli).mean())) if moduli.size else 1.0, G)
+    return apart(float(np.exp(np.log(moduli).mean())) if moduli.size else 1.0, poles)
 
 
 def loop_rate(*systems: StateSpace) -> float:
     """A rate in rad/s for plants from u to y: the fastest pole of their LQG loops, equal weights on u and y."""
     fastest = max((loop_moduli(G).max(initial=0.0) for G in systems), default=0.0)
-    return apart(float(fastest) or 1.0, *systems)
+    return apart(float(fastest) or 1.0, np.concatenate([G.poles() for G in systems]))
 
 
 def design_rate(P: GeneralizedPlant) -> float:
@@ -153,7 +152,9 @@ def design_rate(P: GeneralizedPlant) -> float:
     regular = [_moved(*side, 0.0) for side in (control, estimation) if _weighed(side[-1])]
     rate = max((float(m.max(initial=0.0)) for m in regular), default=0.0) or _typical(A)
     others = [_moved(*side, rate) for side in (control, estimation) if not _weighed(side[-1])]
-    return apart(max((float(m.max(initial=0.0)) for m in (*regular, *others)), default=0.0) or rate, P.system)
+    return apart(
+        max((float(m.max(initial=0.0)) for m in (*regular, *others)), default=0.0) or rate, np.linalg.eigvals(A)
+    )
 
 
 def loop_moduli(G: StateSpace) -> np.ndarray:
