@@ -3,9 +3,9 @@
     [plant]           matrices A, B, C, D (or A, B1, ..., D22), or num and den, or zeros, poles and gain; and dt; or
                       file = "plant.json" (or .mat) beside it. sample = 0.5 discretises a continuous plant, hold = "zoh"
                       (default) or "tustin"; delay = 1.0 in s, of the inputs, in whole samples; u, y, units
-    [synthesis]       problem = "tracking", "generalized", "loopshaping" or "mixedsensitivity"; method, gamma; for loop
-                      shaping also gamma_factor, and feedback = "negative" for a controller that acts on r - y; for
-                      mixed sensitivity also shift
+    [synthesis]       problem = "tracking", "generalized", "loopshaping" or "mixedsensitivity"; method, gamma, tol;
+                      for mixed sensitivity also shift; for loop shaping no tol, but gamma_factor, and
+                      feedback = "negative" for a controller that acts on r - y
     [weights]         tracking: Wproc, Wdist, Werr, Wact, Wr; loop shaping: W1, W2, mixed sensitivity: W1, W2, W3
                       (matrices or tables A, B, C, D; num, den; zeros, poles, gain)
     [specifications]  max_norm; the fields of `Requirements`; umin, umax, overload; antiwindup = true for the
@@ -43,6 +43,7 @@ from synth.systems.generalized import GeneralizedPlant
 from synth.systems.sampled import c2d
 from synth.systems.statespace import StateSpace, as_system
 
+SYSTEM = {*"ABCD", "num", "den", "zeros", "poles", "gain"}  # keys of a weight that is a system
 PROBLEMS = ("tracking", "generalized", "loopshaping", "mixedsensitivity")
 TRACKING = {"Wproc": "u", "Wdist": "y", "Werr": "y", "Wact": "u", "Wr": "y"}  # weight -> signals of the plant
 
@@ -240,6 +241,8 @@ def _options(table: Table, problem: str | None) -> dict[str, Any]:
     found = {"method": table.text("method", methods), "gamma": table.number("gamma", above=0)}
     if problem == "loopshaping":
         found["gamma_factor"] = table.number("gamma_factor", above=1)
+    else:
+        found["tol"] = table.number("tol", above=0)
     if problem == "mixedsensitivity":
         found["shift"] = table.number("shift", least=0)
     return {key: value for key, value in found.items() if value is not None}
@@ -280,7 +283,12 @@ def _weighed(
             return None
         return plant
     size = {"u": m, "y": q}
-    found = {key: weights.matrix(key, (size[signals], size[signals])) for key, signals in TRACKING.items()}
+    found = {
+        key: _shaping_weight(weights, key, size[signals], plant)
+        if weights.has(key)
+        else weights.matrix(key, (size[signals], size[signals]))
+        for key, signals in TRACKING.items()
+    }
     if plant is None or any(W is None for W in found.values()):
         return None
     try:
@@ -300,7 +308,8 @@ def _errors(about: dict[str, Any]) -> dict[str, Any]:
 
 def _shaping_weight(weights: Table, key: str, size: int | None, plant: StateSpace | None) -> Any:
     """A matrix, or a system with the timebase of the plant."""
-    if not isinstance(weights.data[key], dict) or "diag" in weights.data[key]:
+    given = weights.data[key]
+    if not isinstance(given, dict) or not SYSTEM & given.keys():
         return weights.matrix(key, (size, size))
     table = weights.table(key)
     if given := _fraction(table):

@@ -10,16 +10,17 @@ those of (27).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import scipy.linalg as sla
 
 from synth.checks import as_array, as_matrix, as_names, as_texts, as_timebase, as_units, as_weight, as_whole
 from synth.errors import ModelError
-from synth.systems.connect import lft
-from synth.systems.statespace import StateSpace, as_system
+from synth.systems.connect import lft, series
+from synth.systems.statespace import StateSpace, as_system, common_timebase, repeated
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,14 +114,15 @@ class GeneralizedPlant:
 
     @classmethod
     def tracking(cls, P0: Any, *, Wproc, Wdist, Werr, Wact, Wr, u=(), y=(), units=None) -> GeneralizedPlant:
-        """Tracking framework with constant weights, seed equation (27): y = Wr r - P0 (Wp n + u) - Wd d.
+        """Tracking framework, seed equation (27): y = Wr r - P0 (Wp n + u) - Wd d.
 
         Parameters
         ----------
         P0 : nominal plant with m inputs and q outputs, in any form that `system` takes
         Wproc : (m, m) process noise; Wdist : (q, q) sensor noise; Werr : (q, q) tracking error
-        Wact : (m, m) control effort; Wr : (q, q) reference; a number stands for that multiple of the identity, a list
-            for a diagonal
+        Wact : (m, m) control effort; Wr : (q, q) reference. Each is a number (that multiple of the identity), a list (a
+            diagonal), a matrix, or a stable system, of one channel for every signal or of all: integral action in Werr,
+            roll-off in Wact, the spectrum of a disturbance
         u, y : names of the m inputs and q outputs, those of P0 when left out
         units : unit of each name in u and y, optional; the derived channels inherit them
 
@@ -128,12 +130,13 @@ class GeneralizedPlant:
         """
         G = as_system("P0", P0)
         m, q = G.nu, G.ny
-        Wp, Wa = as_weight("Wproc", Wproc, m), as_weight("Wact", Wact, m)
-        Wd, We, Wr = as_weight("Wdist", Wdist, q), as_weight("Werr", Werr, q), as_weight("Wr", Wr, q)
+        (Wp, proc), (Wa, act) = _weight("Wproc", Wproc, m, G.dt), _weight("Wact", Wact, m, G.dt)
+        Wd, dist = _weight("Wdist", Wdist, q, G.dt)
+        (We, err), (Wr, ref) = _weight("Werr", Werr, q, G.dt), _weight("Wr", Wr, q, G.dt)
         O = np.zeros
         u, y = as_texts("u", u) or G.u, as_texts("y", y) or G.y
         units = G.units if units is None else as_units(units)
-        return cls(
+        plant = cls(
             A=G.A,
             B1=np.hstack([O((G.n, q)), G.B @ Wp, O((G.n, q))]),
             B2=G.B,
@@ -150,10 +153,11 @@ class GeneralizedPlant:
             y=tuple(f"error {s}" for s in y),
             units={s: units[s] for s in u if s in units} | {f"error {s}": units[s] for s in y if s in units},
         )  # fmt: skip
+        return plant.weighted(w=(ref, proc, dist), z=(err, act))
 
     @classmethod
     def four_block(cls, G: Any, *, Wdist, Wnoise, Wout, Wact) -> GeneralizedPlant:
-        """Regular four-block problem with constant weights: z = [Wout G (u + Wdist d); Wact u] from w = [d; n].
+        """Regular four-block problem: z = [Wout G (u + Wdist d); Wact u] from w = [d; n].
 
         d is a disturbance at the plant's input, n noise at its output; the measurement is the error against zero,
         y = -(G (u + Wdist d) + Wnoise n), so that K is used as it is with e = r - y. For square, invertible Wnoise and
@@ -163,18 +167,18 @@ class GeneralizedPlant:
         ----------
         G : (q x m) plant, in any form that `system` takes
         Wdist : (m, m) input disturbance; Wnoise : (q, q) output noise
-        Wout : (q, q) output; Wact : (m, m) control effort; numbers and lists as in `tracking`
+        Wout : (q, q) output; Wact : (m, m) control effort; numbers, lists and systems as in `tracking`
 
         Reference: Zhou, Doyle and Glover (1996), Robust and Optimal Control, section 16.1.
         """
         G = as_system("G", G)
         m, q = G.nu, G.ny
-        Wd, Wn, Wy, Wu = (
-            as_weight(name, W, size)
+        (Wd, dist), (Wn, noise), (Wy, out), (Wu, act) = (
+            _weight(name, W, size, G.dt)
             for name, W, size in (("Wdist", Wdist, m), ("Wnoise", Wnoise, q), ("Wout", Wout, q), ("Wact", Wact, m))
         )
         O, ins, outs = np.zeros, G.named_inputs, G.named_outputs
-        return cls(
+        plant = cls(
             A=G.A,
             B1=np.hstack([G.B @ Wd, O((G.n, q))]),
             B2=G.B,
@@ -191,7 +195,44 @@ class GeneralizedPlant:
             y=tuple(f"error {s}" for s in outs),
             units={s: G.units[s] for s in G.u if s in G.units},
         )
+        return plant.weighted(w=(dist, noise), z=(out, act))
+
+    def weighted(self, *, w: Sequence[StateSpace], z: Sequence[StateSpace]) -> GeneralizedPlant:
+        """The plant with systems in front of its w and behind its z, one after the other along the channels.
+
+        Gains of the identity change nothing. Names of channels stay.
+
+        Raises
+        ------
+        ModelError : the systems have not as many signals as the plant has w or z.
+        """
+        if not any(W.n for W in (*w, *z)):
+            return self
+        _, _, nu, _, ny = self.sizes
+        before, after = (_beside([*weights, StateSpace.gain(np.eye(k), self.dt)]) for weights, k in ((w, nu), (z, ny)))
+        bare = StateSpace(*self.system.matrices, self.dt)
+        moved = GeneralizedPlant.partition(series(series(before, bare), after), ny, nu)
+        return replace(moved, w=self.w, u=self.u, z=self.z, y=self.y, units=self.units)
 
     def close(self, K: Any) -> StateSpace:
         """Closed loop from w to z under u = K y (positive feedback), K in any form that `system` takes."""
         return lft(self.system, K, self.C2.shape[0], self.B2.shape[1])
+
+
+def _weight(name: str, W: Any, size: int, dt: float) -> tuple[np.ndarray, StateSpace]:
+    """A constant weight as a matrix and a gain of one; a dynamic one as the identity and the system itself."""
+    I = np.eye(size)
+    if np.isscalar(W) or isinstance(W, list | np.ndarray):
+        return as_weight(name, W, size), StateSpace.gain(I, dt)
+    G = repeated(as_system(name, W, dt), size)
+    common_timebase(StateSpace.gain(I, dt), G, ("the plant", name))
+    if (G.ny, G.nu) != (size, size):
+        raise ModelError(f"{name} is {G.ny} x {G.nu}; pass a system of one channel, or of {size} x {size}")
+    return (G.D, StateSpace.gain(I, dt)) if G.n == 0 else (I, G)
+
+
+def _beside(systems: Sequence[StateSpace]) -> StateSpace:
+    """Systems that know nothing of each other, as one."""
+    A, B, C, D = (np.asarray(sla.block_diag(*(getattr(G, name) for G in systems))) for name in "ABCD")
+    n, (p, m) = sum(G.n for G in systems), D.shape
+    return StateSpace(A.reshape(n, n), B.reshape(n, m), C.reshape(p, n), D, systems[0].dt)

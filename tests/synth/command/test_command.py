@@ -174,7 +174,8 @@ def test_compare(synth, tmp_path):
     code, out, _ = synth(*arguments, "--json")
     assert first == (tmp_path / "a.svg").read_bytes()
     a, b, c = json.loads(out)
-    assert b["gamma"] == pytest.approx(2 * a["gamma"])
+    assert a["gamma"] < b["gamma"] <= 2 * a["gamma"]
+    assert b["optimum"] is None
     assert a["nugap_controller"] == pytest.approx(0, abs=1e-5)
     assert 0 < b["nugap_controller"] <= 1
     assert b["nugap_plant"] == pytest.approx(0, abs=1e-5)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.linalg as sla
 from literature import cubesat_model, cubesat_pecorilla2024
 
 from synth.errors import ModelError
@@ -55,3 +56,60 @@ def test_bad_plants_are_named():
     with pytest.raises(ModelError, match="every channel needs at least one signal"):
         GeneralizedPlant(np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1)),
                          np.ones((1, 1)), np.zeros((0, 1)), np.zeros((0, 1)), np.zeros((0, 1)))  # fmt: skip
+
+
+def dynamic(seed: int, size: int, dt: float) -> StateSpace:
+    """A stable weight with two states."""
+    rng = np.random.default_rng(seed)
+    A = np.diag([0.5, -0.2]) if dt else np.diag([-1.0, -30.0])
+    return StateSpace(A, rng.normal(size=(2, size)), rng.normal(size=(size, 2)), np.eye(size), dt)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_weights_with_states_weigh_as_constant_ones_do_at_every_frequency(dt):
+    rng = np.random.default_rng(3)
+    G = StateSpace(0.3 * rng.normal(size=(3, 3)), rng.normal(size=(3, 2)), rng.normal(size=(1, 3)), [[0.1, 0.2]], dt)
+    first, second = dynamic(1, 1, dt), dynamic(2, 2, dt)
+    lag = StateSpace([[0.9 if dt else -3.0]], [[1.0]], [[2.0]], [[0.5]], dt)  # of one signal, for every channel
+    cases = (
+        (GeneralizedPlant.tracking, {"Wproc": 2.0, "Wdist": first, "Werr": lag, "Wact": second, "Wr": first}),
+        (GeneralizedPlant.four_block, {"Wdist": second, "Wnoise": lag, "Wout": first, "Wact": lag}),
+    )
+    for make, weights in cases:
+        P = make(G, **weights)
+        assert P.sizes[0] > G.n
+        for w in (0.01, 0.7, 20.0):
+            # complex weights of the same values: the real and the imaginary part are both linear in each weight
+            bare = {key: 1.0 for key in weights}
+            unweighted = make(G, **bare).system.frequency_response(w)
+            n_w, n_z = P.sizes[1], P.sizes[3]
+            at = {key: response(W, w, 2 if key in ("Wproc", "Wact") or (make is GeneralizedPlant.four_block
+                  and key == "Wdist") else 1) for key, W in weights.items()}  # fmt: skip
+            if make is GeneralizedPlant.tracking:
+                ins, outs = ("Wr", "Wproc", "Wdist"), ("Werr", "Wact")
+            else:
+                ins, outs = ("Wdist", "Wnoise"), ("Wout", "Wact")
+            before, after = (sla.block_diag(*(at[key] for key in keys)) for keys in (ins, outs))
+            expected = unweighted.astype(complex)
+            expected[:n_z] = after @ expected[:n_z]
+            expected[:, :n_w] = expected[:, :n_w] @ before
+            np.testing.assert_allclose(P.system.frequency_response(w), expected, rtol=1e-9, atol=1e-12)
+
+
+def response(W, w: float, size: int) -> np.ndarray:
+    """A weight at a frequency, for `size` signals."""
+    if not isinstance(W, StateSpace):
+        return W * np.eye(size)
+    found = W.frequency_response(w)
+    return np.kron(np.eye(size), found) if found.shape == (1, 1) else found
+
+
+def test_weights_that_do_not_fit_are_named():
+    G = StateSpace([[0.0]], [[1.0]], [[1.0]], [[0.0]])
+    constant = {"Wdist": 1.0, "Wnoise": 1.0, "Wout": 1.0, "Wact": 1.0}
+    with pytest.raises(ModelError, match="Wout is 2 x 2"):
+        GeneralizedPlant.four_block(G, **{**constant, "Wout": dynamic(0, 2, 0.0)})
+    with pytest.raises(ModelError, match="the plant and Wact have timebases"):
+        GeneralizedPlant.four_block(G, **{**constant, "Wact": dynamic(0, 1, 0.1)})
+    with pytest.raises(ModelError, match="Wact"):
+        GeneralizedPlant.four_block(G, **{**constant, "Wact": "x"})
