@@ -22,7 +22,6 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
-from scipy.optimize import root_scalar
 
 from synth.analysis.coprime import ncfmargin
 from synth.analysis.norms import balance, hinfnorm, is_stable
@@ -304,6 +303,8 @@ def _unit_angles(M: np.ndarray, N: np.ndarray) -> np.ndarray:
 
 def _polished(angles: np.ndarray, function: Any) -> list[float]:
     """Zeros of a function near the angles: bracketed where it changes sign, as they are where it does not."""
+    from scipy.optimize import root_scalar  # a fifth of a second, which no design needs
+
     found = []
     for angle in angles:
         width = 1e-6 * max(angle, 1e-6)

@@ -71,28 +71,20 @@ def test_weights_with_states_weigh_as_constant_ones_do_at_every_frequency(dt):
     G = StateSpace(0.3 * rng.normal(size=(3, 3)), rng.normal(size=(3, 2)), rng.normal(size=(1, 3)), [[0.1, 0.2]], dt)
     first, second = dynamic(1, 1, dt), dynamic(2, 2, dt)
     lag = StateSpace([[0.9 if dt else -3.0]], [[1.0]], [[2.0]], [[0.5]], dt)  # of one signal, for every channel
-    cases = (
-        (GeneralizedPlant.tracking, {"Wproc": 2.0, "Wdist": first, "Werr": lag, "Wact": second, "Wr": first}),
-        (GeneralizedPlant.four_block, {"Wdist": second, "Wnoise": lag, "Wout": first, "Wact": lag}),
-    )
-    for make, weights in cases:
-        P = make(G, **weights)
+    cases = {
+        "tracking": {"Wr": first, "Wproc": 2.0, "Wdist": first, "Werr": lag, "Wact": second},
+        "four_block": {"Wdist": second, "Wnoise": lag, "Wout": first, "Wact": lag},
+    }
+    sizes = {"tracking": (1, 2, 1, 1, 2), "four_block": (2, 1, 1, 2)}  # signals of each weight; those of z come last
+    for name, weights in cases.items():
+        make = getattr(GeneralizedPlant, name)
+        P, unweighted = make(G, **weights), make(G, **dict.fromkeys(weights, 1.0))
         assert P.sizes[0] > G.n
+        assert P.sizes[1:] == unweighted.sizes[1:]
         for w in (0.01, 0.7, 20.0):
-            # complex weights of the same values: the real and the imaginary part are both linear in each weight
-            bare = {key: 1.0 for key in weights}
-            unweighted = make(G, **bare).system.frequency_response(w)
-            n_w, n_z = P.sizes[1], P.sizes[3]
-            at = {key: response(W, w, 2 if key in ("Wproc", "Wact") or (make is GeneralizedPlant.four_block
-                  and key == "Wdist") else 1) for key, W in weights.items()}  # fmt: skip
-            if make is GeneralizedPlant.tracking:
-                ins, outs = ("Wr", "Wproc", "Wdist"), ("Werr", "Wact")
-            else:
-                ins, outs = ("Wdist", "Wnoise"), ("Wout", "Wact")
-            before, after = (sla.block_diag(*(at[key] for key in keys)) for keys in (ins, outs))
-            expected = unweighted.astype(complex)
-            expected[:n_z] = after @ expected[:n_z]
-            expected[:, :n_w] = expected[:, :n_w] @ before
+            at = [response(W, w, k) for W, k in zip(weights.values(), sizes[name], strict=True)]
+            before, after = sla.block_diag(*at[:-2], np.eye(G.nu)), sla.block_diag(*at[-2:], np.eye(G.ny))
+            expected = after @ unweighted.system.frequency_response(w) @ before
             np.testing.assert_allclose(P.system.frequency_response(w), expected, rtol=1e-9, atol=1e-12)
 
 
