@@ -95,6 +95,8 @@ def make_parser() -> argparse.ArgumentParser:
     export.add_argument("--name", default="controller", help="of files and C functions (default controller)")
     export.add_argument("--force", action="store_true", help="replace files that exist")
     export.add_argument("--allow-unstable", action="store_true", help="export a controller with unstable poles")
+    export.add_argument("--accept", action="store_true", help="put a design through the gate first; the files say so")
+    export.add_argument("--dt", type=float, metavar="S", help="with --accept: sampling time of a continuous design")
     export.add_argument("--float", action="store_true", help="single precision")
     add_limits(export)
     export.add_argument("--antiwindup", action="store_true", help="with limits: conditioned loop-shaping controller")

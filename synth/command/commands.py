@@ -250,6 +250,7 @@ def acceptance_text(found: Any) -> str:
 
 def export(options: argparse.Namespace) -> int:
     """`synth export`."""
+    from synth.delivery.acceptance import accept
     from synth.delivery.formats import export as write
 
     file = options.files[0]
@@ -257,16 +258,25 @@ def export(options: argparse.Namespace) -> int:
     if isinstance(item, GeneralizedPlant):
         raise ModelError(f"{file}: this is a plant; pass a design or a controller")
     umin, umax = limits_of(options)
+    found = None
+    if options.accept:
+        if not isinstance(item, Design):
+            raise ModelError(f"{file}: --accept needs a design, whose plant it knows; see `synth verify` for others")
+        limits = {} if item.shaping else {"umin": umin, "umax": umax}  # u is no signal of a shaped plant
+        found = accept(item, dt=None if item.plant.dt else options.dt, **limits)
     written = write(
         source_of(item), options.format, options.output, name=options.name,
         force=options.force, allow_unstable=options.allow_unstable, umin=umin, umax=umax,
-        antiwindup=gain_of(item, options), dtype="float" if options.float else "double",
+        antiwindup=gain_of(item, options), dtype="float" if options.float else "double", acceptance=found,
     )  # fmt: skip
     if options.json:
-        print_json({"files": [str(path) for path in written]})
+        gate = {} if found is None else {"acceptance": acceptance_data(found)}
+        print_json({"files": [str(path) for path in written], **gate})
     else:
         print("\n".join(map(str, written)))
-    return DONE
+        if found is not None:
+            print(acceptance_text(found))
+    return DONE if found is None or found.passed else MISSED
 
 
 def compare(options: argparse.Namespace) -> int:

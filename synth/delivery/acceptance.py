@@ -27,7 +27,7 @@ from synth.analysis.stabilitymargins import Margins, margins
 from synth.checks import as_number, shown
 from synth.errors import ExportError, ModelError, SynthError
 from synth.regulators.antiwindup import AntiWindup
-from synth.regulators.sequential import SequentialController
+from synth.regulators.sequential import SequentialController, controller_of
 from synth.synthesis.design import Design
 from synth.systems.connect import delayed
 from synth.systems.generalized import GeneralizedPlant
@@ -87,13 +87,20 @@ class Acceptance:
 
     conditions: tuple[Condition, ...]
     margins: Margins | None  # None for a loop that is unstable or cannot be judged
-    level: float  # the designed level that the ratios refer to: gamma, or the verified norm if that is larger
+    level: float  # the level that the ratios refer to: gamma of the design
     dt: float  # s, sampling time of the loop that was measured
+    controller_sha256: str  # of the controller that was put in
 
     @property
     def passed(self) -> bool:
         """Whether every condition is met."""
         return all(c.passed for c in self.conditions)
+
+    @property
+    def verdict(self) -> str:
+        """In one line, for the files of the controller."""
+        failed = ", ".join(c.name for c in self.conditions if not c.passed)
+        return f"{f'NOT accepted ({failed})' if failed else 'accepted'} at a sampling time of {self.dt:g} s"
 
 
 @one_thread
@@ -167,7 +174,8 @@ def accept(
             found = margins(inner(P), K, sign=1)
         except SynthError as error:
             reason = str(error)
-    return Acceptance((*lines, *_margins(found, requirements, reason)), found, level, P.dt)
+    digest = controller_of(design).digest()
+    return Acceptance((*lines, *_margins(found, requirements, reason)), found, level, P.dt, digest)
 
 
 def _loop(design: Any, plant: Any) -> tuple[GeneralizedPlant, StateSpace, float | None]:

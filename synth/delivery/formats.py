@@ -10,8 +10,12 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+if TYPE_CHECKING:
+    from synth.delivery.acceptance import Acceptance
+
+NEVER = "none: this controller was never put through accept"
 FORMATS = ("json", "mat", "c", "fmu2", "fmu3")
 
 
@@ -28,6 +32,7 @@ def export(
     antiwindup: Any = None,
     dtype: str = "double",
     self_test: bool = True,
+    acceptance: Acceptance | None = None,
 ) -> tuple[Path, ...]:
     """Write a controller into `folder` and return the files' paths; all of them appear or none.
 
@@ -44,12 +49,15 @@ def export(
     umin, umax : number or (m,), unit of u: limits that the C code and the FMU keep; None for no limit
     antiwindup : (n, m) gain L in x+ = A x + B y + L (u - v) with u = min(max(v, umin), umax); A - L C must be stable
     dtype : "double" or "float", of the C code
+    acceptance : what `accept` found for this controller, for the files to say; without it they say that it was never
+        accepted (json holds the design as it is)
     self_test : put a stored trace and its bitwise comparison into the C source, compiled in with -DNAME_SELF_TEST
 
     Raises
     ------
     ExportError : the controller is continuous or unstable (both are fine in json and mat), the name is no C identifier,
-        a file exists, an option does not belong to the format, there is no C compiler for an FMU.
+        a file exists, an option does not belong to the format, there is no C compiler for an FMU, or `acceptance` is
+        of another controller.
     ModelError : the controller, the limits or the gain are not valid.
     VerificationError : rounded to float, the controller does not stabilise the design's plant.
     """
@@ -63,6 +71,7 @@ def export(
     folder = as_path("folder", folder)
     for flag, given in (("force", force), ("allow_unstable", allow_unstable), ("self_test", self_test)):
         as_flag(flag, given)
+    accepted = NEVER if acceptance is None else _verdict(design, acceptance)
     options = {"umin": umin, "umax": umax, "antiwindup": antiwindup}
     if format in ("json", "mat"):
         given = [key for key, value in options.items() if value is not None]
@@ -70,13 +79,27 @@ def export(
             given.append("dtype")
         if given:
             raise ExportError(f"{', '.join(given)}: a {format} file holds the design as it is; leave this away")
-        files = _documents(design, format, name)
+        files = _documents(design, format, name, accepted)
     else:
-        files = _code(design, format, name, self_test, dtype=dtype, allow_unstable=allow_unstable, **options)
+        files = _code(design, format, name, self_test, accepted, dtype=dtype, allow_unstable=allow_unstable, **options)
     return write_all(folder, files, force=force)
 
 
-def _documents(design: Any, format: str, name: str) -> dict[str, bytes]:
+def _verdict(design: Any, acceptance: Any) -> str:
+    """What the gate found, if it is of this controller."""
+    from synth.checks import shown
+    from synth.delivery.acceptance import Acceptance
+    from synth.errors import ExportError
+    from synth.regulators.sequential import controller_of
+
+    if not isinstance(acceptance, Acceptance):
+        raise ExportError(f"acceptance is {shown(acceptance)}; pass what accept returned, or None")
+    if acceptance.controller_sha256 != controller_of(design).digest():
+        raise ExportError("acceptance is of another controller: the sha256 differs; pass accept of this one")
+    return acceptance.verdict
+
+
+def _documents(design: Any, format: str, name: str, accepted: str) -> dict[str, bytes]:
     """The design, or a controller without a plant, as data."""
     from synth.delivery import matlab, plain
     from synth.synthesis.design import Design, json_bytes
@@ -86,18 +109,18 @@ def _documents(design: Any, format: str, name: str) -> dict[str, bytes]:
     elif format == "json":
         content = json_bytes(design)
     else:
-        content = matlab.mat_bytes(design)
+        content = matlab.mat_bytes(design, accepted)
     return {f"{name}.{format}": content}
 
 
-def _code(design: Any, format: str, name: str, self_test: bool, **options: Any) -> dict[str, bytes]:
+def _code(design: Any, format: str, name: str, self_test: bool, accepted: str, **options: Any) -> dict[str, bytes]:
     """The C files, or the FMU made of them."""
     from synth.delivery.c import c_files
     from synth.delivery.origin import origin_of
     from synth.regulators.sequential import SequentialController
 
     controller = SequentialController.of(design, **options)
-    origin = origin_of(design, controller)
+    origin = origin_of(design, controller, accepted)
     if format == "c":
         return c_files(controller, origin, name, self_test=self_test)
     from synth.delivery.fmu import fmu_bytes

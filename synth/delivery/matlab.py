@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from synth.synthesis.design import Design
 
 
-def mat_bytes(design: Design) -> bytes:
+def mat_bytes(design: Design, accepted: str = "") -> bytes:
     """The content of the .mat file."""
     from synth.synthesis.design import to_dict
 
@@ -36,6 +36,7 @@ def mat_bytes(design: Design) -> bytes:
         "method": info["method"],
         "solver": info["solver"],
         "tolerance": float(info["tolerance"]),
+        "acceptance": accepted,
         "date": info["date"],
         "versions": _cell([f"{name} {version}" for name, version in info["versions"].items()]),
     }

@@ -39,7 +39,7 @@ class Origin:
     outputs: tuple[Signal, ...]  # (m,)
 
 
-def origin_of(source: Any, exported: SequentialController | None = None) -> Origin:
+def origin_of(source: Any, exported: SequentialController | None = None, accepted: str = "") -> Origin:
     """The origin of a Design, or of a controller that comes without a plant.
 
     Where the exported controller is in single precision, the loop is closed with its rounded matrices and measured.
@@ -67,6 +67,7 @@ def origin_of(source: Any, exported: SequentialController | None = None) -> Orig
         }
         if isinstance(source, LinearController | AntiWindup):
             facts["input"] = "the error e = r - y"
+    facts |= {"acceptance": accepted} if accepted else {}
     facts["exported by"] = f"convex-synth {metadata.version('convex-synth')}"
     origin = Origin(facts, inputs, outputs)
     for where, text in [*facts.items(), *((f"signal {s.name!r}", str(s)) for s in (*inputs, *outputs))]:

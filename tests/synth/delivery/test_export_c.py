@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from literature import cubesat_model, cubesat_pecorilla2024
 from scipy.signal import tf2ss
 
+from synth.delivery.acceptance import Requirements, accept
 from synth.delivery.formats import export
 from synth.errors import ExportError, ModelError, VerificationError
 from synth.regulators.antiwindup import AntiWindup
@@ -79,6 +80,21 @@ def test_c99_keeps_the_bits_where_the_machine_could_fuse(design, tmp_path):
     """-std=c99 forbids contraction: with all instructions of this machine the trace is the same."""
     _, source = export(design, "c", tmp_path, name="attitude")
     assert Compiled(source, SequentialController.of(design), "-O3", "-march=native").self_test() == 0
+
+
+def test_files_say_whether_the_controller_was_accepted(design, tmp_path):
+    def comment(name: str, **options) -> str:
+        return " ".join(export(design, "c", tmp_path, name=name, **options)[0].read_text().split())
+
+    assert "this controller was never put through accept" in comment("never")
+    found = accept(design)
+    assert "accepted at a sampling time of 0.5 s" in comment("passed", acceptance=found)
+    strict = accept(design, requirements=Requirements(gain_margin_db=40))
+    assert "NOT accepted (gain margin) at a sampling time of 0.5 s" in comment("failed", acceptance=strict)
+    with pytest.raises(ExportError, match="of another controller"):
+        export(STABLE, "c", tmp_path, acceptance=found)
+    with pytest.raises(ExportError, match="pass what accept returned"):
+        export(design, "c", tmp_path, acceptance=True)
 
 
 def test_decimal_constants_are_the_bits(design, tmp_path):
