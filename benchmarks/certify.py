@@ -45,7 +45,7 @@ def main() -> None:
         repeats = 5 if P.sizes[0] < 30 else 1
         designing = seconds(lambda P=P: hinfsyn(P, method="riccati"), repeats)
         design = hinfsyn(P, method="riccati")
-        K, level = design.controller, design.verified_norm * (1 + MARGINS[0])
+        K, level = design.controller, design.gamma * (1 + MARGINS[0])
         upper = seconds(lambda P=P, K=K, g=level: find_upper(P, K, g, BITS), repeats)
         lower = seconds(lambda P=P, g=level: find_lower(P, g, None, BITS), repeats)
         certificate = certify(design)
@@ -54,7 +54,7 @@ def main() -> None:
             size = certificate.save(Path(folder) / "c.json").stat().st_size / 1e3
         w = certificate.lower_witness
         steps = f"{len(w.control)}+{len(w.estimation)}" if w else "-"
-        ratio, below = (upper + lower) / designing, 1 - certificate.lower / design.gamma
+        ratio, below = (upper + lower) / designing, 1 - certificate.lower / design.info.optimum
         print(f"{name:>9} {upper:7.3f} {lower:7.3f} {check:7.3f} {ratio:8.2f} {certificate.gap:8.1e} {below:8.1e}"
               f" {steps:>6} {size:6.0f}", flush=True)  # fmt: skip
 

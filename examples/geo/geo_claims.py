@@ -37,8 +37,8 @@ def statements(found: Study) -> list[Statement]:
         except AssumptionError as error:
             d = found.designs[design.MIXED]
             return "does not hold", (
-                f"{error.assumption} fails; with the axis shifted by {d.info.shift:g} rad/min gamma = {d.gamma:.4g}, "
-                f"of the true loop {d.verified_norm:.4g}"
+                f"{error.assumption} fails; with the axis shifted by {d.info.shift:g} rad/min the norm is "
+                f"{d.info.shifted_norm:.4g}, of the true loop {d.gamma:.4g}"
             )
         return "holds", "designed without a shift"
 

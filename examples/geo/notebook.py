@@ -67,8 +67,10 @@ for name, each in shifts.items():
     sigma(feedback(none, loop), axes[0], omega=omega, label=name)
     sigma(feedback(loop, none), axes[1], omega=omega, label=name)
 for ax, weight, title in zip(axes, design.thesis_weights()[::2], ("S", "T"), strict=True):
-    limit = shifts["shift 0.1 per min"].gamma / np.array([abs(weight.frequency_response(w)[0, 0]) for w in omega])
-    ax.plot(omega, limit, "k:", label="gamma over the weight, shift 0.1")
+    limit = shifts["shift 0.1 per min"].info.shifted_norm / np.array(
+        [abs(weight.frequency_response(w)[0, 0]) for w in omega]
+    )
+    ax.plot(omega, limit, "k:", label="level over the weight, shift 0.1")
     ax.set(title=title, xlabel="frequency, rad/min", ylim=(1e-3, 1e1))
 _ = axes[0].legend(fontsize="small")
 

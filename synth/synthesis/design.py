@@ -130,7 +130,7 @@ class Design:
             f"Design(order {self.controller.n} controller, {ny} measurements, {nu} controls, {dt}; plant order {n}\n"
             f"       gamma {self.gamma:.7g}, the verified norm, at {self.info.frequency:.4g} rad/s{self._claim},"
             f" method {self.info.method!r}, {self.info.seconds:.2f} s"
-            + (f"\n       {words(self.margins)}" if self.margins else "")
+            + (f"\n       margins: {words(self.margins)}" if self.margins else "")
             + "".join(f"\n       warning: {text}" for text in self.warnings)
             + ")"
         )

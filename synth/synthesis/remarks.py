@@ -20,7 +20,7 @@ def words(m: Margins) -> str:
     """The margins in one line."""
     delay = f"{m.delay / m.dt:.3g} samples" if m.dt else f"{m.delay:.3g} s"
     return (
-        f"margins: gain {m.gain_db:.3g} dB, phase {m.phase_deg:.3g} deg, delay {delay}, "
+        f"gain {m.gain_db:.3g} dB, phase {m.phase_deg:.3g} deg, delay {delay}, "
         f"disk {m.disk_input.alpha:.3g} at the plant's input, {m.disk_output.alpha:.3g} at its output"
     )
 
