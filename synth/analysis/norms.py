@@ -15,7 +15,7 @@ Systems & Control Letters 15, 1; bounded real lemma: de Souza and Xie (1992), Sy
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +26,8 @@ from synth.checks import as_number
 from synth.equations.doubling import bounded_real
 from synth.errors import NumericalError, VerificationError
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.realization import balanced, state_scales
+from synth.systems.modes import crosses
+from synth.systems.realization import balanced
 from synth.systems.sampled import cayley, pole_rate
 from synth.systems.statespace import StateSpace, as_system
 from synth.threads import one_thread
@@ -34,7 +35,9 @@ from synth.threads import one_thread
 TOLERANCE = 1e-7  # relative, of the peak
 CONFIRM = (*(10.0**k for k in range(-7, 9)),)  # relative margins at which the second method confirms the first
 ROUNDOFF = 1e-9  # a norm below this part of the closed loop's own entries is reported as this part
-DIGITS = 1e-3  # of the norm: what rounding of the closed loop's own matrix may change
+DIGITS = 0.3  # of the norm: what rounding may account for at most
+ROUNDINGS = 2  # of doubles, in an entry of a matrix that was computed
+SUSPICIOUS = 1e-6  # of a distance to the stability boundary, from which on it is compared with rounding
 NEGLIGIBLE = 1e-8  # of the norm: what states that hardly matter may have in it
 LARGE = 60  # states from which on the level-set method is left out where the bounded-real equation confirms a climb
 CLIMBS = 4  # local maxima that are climbed then
@@ -103,6 +106,7 @@ class Verification:
     norm: float  # verified bound on the H-infinity norm, within 1e-7 of the peak unless rounding forbids
     peak: float  # largest singular value that was found, <= norm
     frequency: float  # rad/s, where the peak is
+    rounding: float  # part of the norm that rounding may account for
     poles: np.ndarray = field(repr=False, compare=False)  # (n,) of the closed loop
 
 
@@ -117,9 +121,7 @@ def verify(system: Any) -> Verification:
     G = as_system("the system", system)
     poles = G.poles()
     radius = float(np.abs(poles).max(initial=0.0) if G.discrete else np.real(poles).max(initial=-np.inf))
-    if _boundary_distance(G, poles) <= 0:
-        what = "spectral radius" if G.discrete else "largest real part of a pole"
-        raise VerificationError(f"the closed loop is unstable: {what} {radius:.9g}")
+    _check_stable(G, poles, radius)
     found = _on_circle(G, poles, TOLERANCE)
     H = found.system
     floor = ROUNDOFF * float(np.linalg.norm(H.D, 2) + np.linalg.norm(H.C, 2) * np.linalg.norm(H.B, 2))
@@ -129,7 +131,31 @@ def verify(system: Any) -> Verification:
         norm = found.peak * (1 + CONFIRM[0])
     else:
         norm = confirm(H, max(found.peak, floor))
-    return Verification(radius, norm, found.peak, found.frequency, poles)
+    lost = _lost(H, np.exp(1j * found.angle), np.linalg.norm(H.A) * np.eye(H.n))
+    return _with_rounding(Verification(radius, norm, found.peak, found.frequency, 0.0, poles), lost)
+
+
+@one_thread
+def judge(P: GeneralizedPlant, K: StateSpace) -> tuple[StateSpace, Verification]:
+    """The loop of a plant and a controller, u = K y, and what `verify` measures on it.
+
+    Where the direct term of a controller is huge, A + B2 Dk C2 has lost digits before any judge sees it. What that may
+    do to the response where it is largest is part of the norm.
+
+    Raises
+    ------
+    ModelError : sizes or timebases do not fit, or the loop is not well posed.
+    VerificationError : as `verify`.
+    """
+    closed_loop = P.close(K)
+    measured = verify(closed_loop)
+    if not np.any(K.D) or not len(P.A):
+        return closed_loop, measured
+    w = min(measured.frequency, 1e300)
+    D = np.abs(np.linalg.solve(np.eye(K.ny) - K.D @ P.D22, K.D))
+    summed = np.zeros_like(closed_loop.A)
+    summed[: len(P.A), : len(P.A)] = np.abs(P.B2) @ D @ np.abs(P.C2)
+    return closed_loop, _with_rounding(measured, _lost(closed_loop, np.exp(1j * w * P.dt) if P.dt else 1j * w, summed))
 
 
 class _Found(NamedTuple):
@@ -137,6 +163,7 @@ class _Found(NamedTuple):
 
     system: StateSpace
     peak: float
+    angle: float
     frequency: float  # rad/s
     confirmed: bool  # the bounded-real equation has a solution just above the peak
 
@@ -151,40 +178,52 @@ def _on_circle(G: StateSpace, poles: np.ndarray, tol: float) -> _Found:
     if G.discrete:
         H = balance(G)
         peak, theta, confirmed = _peak(H, tol)
-        return _Found(H, peak, theta / G.dt, confirmed)
+        return _Found(H, peak, theta, theta / G.dt, confirmed)
     rate = pole_rate(poles)
     H = balance(cayley(G, rate))
     peak, theta, confirmed = _peak(H, tol)
-    return _Found(H, peak, float(rate * np.tan(theta / 2)), confirmed)
+    return _Found(H, peak, theta, float(rate * np.tan(theta / 2)), confirmed)
 
 
-def check_digits(P: GeneralizedPlant, K: StateSpace, closed_loop: StateSpace, measured: Verification) -> None:
-    """Raise unless the closed loop in doubles is that of the plant and the controller.
-
-    Where the direct term of a controller is huge, A + B2 Dk C2 has lost digits before any judge sees it. What that
-    does to the response where it is largest must be small beside the norm.
-
-    Raises
-    ------
-    VerificationError : the controller's gain is too large for double precision.
-    """
-    if not np.any(K.D) or measured.norm == 0:
-        return
-    w = min(measured.frequency, 1e300)
-    s = np.exp(1j * w * P.dt) if P.dt else 1j * w
-    G = balance(closed_loop)
-    scales = state_scales(closed_loop.matrices)
-    lost = np.zeros((G.n, G.n))
-    n = len(P.A)
-    D = np.abs(np.linalg.solve(np.eye(K.ny) - K.D @ P.D22, K.D))
-    lost[:n, :n] = np.finfo(float).eps * (np.abs(P.B2) @ D @ np.abs(P.C2)) * scales[:n] / scales[:n, None]
-    E = s * np.eye(G.n) - G.A
-    effect = np.linalg.norm(np.abs(np.linalg.solve(E.T, G.C.T).T) @ lost @ np.abs(np.linalg.solve(E, G.B)), 2)
-    if effect > DIGITS * measured.norm:
+def _check_stable(G: StateSpace, poles: np.ndarray, radius: float) -> None:
+    """Raise VerificationError unless every pole is stable by more than rounding of A may have moved it."""
+    distance = _boundary_distance(G, poles)
+    if distance <= 0:
+        what = "spectral radius" if G.discrete else "largest real part of a pole"
+        raise VerificationError(f"the closed loop is unstable: {what} {radius:.9g}")
+    if distance < SUSPICIOUS * (1.0 if G.discrete else np.abs(poles).max(initial=0.0)) and crosses(
+        G.A, discrete=G.discrete
+    ):
         raise VerificationError(
-            f"the controller's direct term, {np.abs(K.D).max():.1e}, is too large: in double precision the closed loop "
-            f"is known to {effect / measured.norm:.1e} of its norm only; ask for a larger gamma"
+            f"the closed loop is stable by {distance:.1e} only, which is within rounding of its own entries: a pole of "
+            "the plant, or a zero of it that the controller cancels, is on the stability boundary"
         )
+
+
+def _lost(G: StateSpace, s: complex, size: np.ndarray) -> float:
+    """What an error of A of `size` (n, n) roundings may change of the response at s or z."""
+    if G.n == 0:
+        return 0.0
+    E = s * np.eye(G.n) - G.A
+    try:
+        left, right = np.linalg.solve(E.T, G.C.T).T, np.linalg.solve(E, G.B)
+    except np.linalg.LinAlgError:
+        return np.inf
+    if size[0, 0] and not np.any(size - np.diag(np.diag(size))):  # a number: norms will do
+        effect = np.linalg.norm(left, 2) * size[0, 0] * np.linalg.norm(right, 2)
+    else:
+        effect = np.linalg.norm(np.abs(left) @ size @ np.abs(right), 2)
+    return float(ROUNDINGS * np.finfo(float).eps * effect)
+
+
+def _with_rounding(measured: Verification, lost: float) -> Verification:
+    """The measurement with what rounding may hide added to the norm, if that is a small part of it."""
+    if lost > DIGITS * measured.norm:
+        raise VerificationError(
+            f"the closed loop is too ill-conditioned to be judged: rounding may change its norm of {measured.norm:.6g} "
+            f"by {lost:.2g}; ask for a larger gamma, or bring the model to better units"
+        )
+    return replace(measured, norm=measured.norm + lost, rounding=measured.rounding + lost)
 
 
 def confirm(G: StateSpace, peak: float) -> float:
@@ -217,8 +256,8 @@ def _peak(G: StateSpace, tol: float) -> tuple[float, float, bool]:
     values = np.array([gain(t) for t in angles])
     best = int(np.argmax(values))
     level, angle = float(values[best]), float(angles[best])
-    if level == 0.0:
-        return 0.0, 0.0, True
+    if level == 0.0 or not np.isfinite(level):
+        return level, angle, True
     if G.n >= LARGE:  # the pencil is dear: climb first, and leave it if the Riccati equation says that this is the top
         level, angle = _highest(gain, angles, values)
         if bounded_real(G, level * (1 + CONFIRM[0]), stable=True) is not None:
@@ -269,7 +308,10 @@ def _gain(G: StateSpace) -> tuple[Gain, np.ndarray]:
 
     def gain(angle: float) -> float:
         np.fill_diagonal(E, np.exp(1j * angle) - poles)
-        X = sla.solve_triangular(E, ZB, check_finite=False)
+        try:
+            X = sla.solve_triangular(E, ZB, check_finite=False)
+        except np.linalg.LinAlgError:  # a pole of the mapped system on the circle
+            return np.inf
         return float(np.linalg.norm(CZ @ X + G.D, 2))
 
     return gain, poles

@@ -11,9 +11,8 @@ References: Osborne (1960), J. ACM 7; Jonckheere and Silverman (1983), IEEE TAC 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg as sla
@@ -21,10 +20,10 @@ import scipy.linalg as sla
 from synth.equations.doubling import regularised_lqr
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.systems.generalized import GeneralizedPlant
+from synth.systems.modes import doubts
 from synth.systems.statespace import StateSpace
 
 FLOOR = 1e-8  # relative, on the singular values of the state transform
-ROUNDED = 1e-14  # of the entries of A, in the doubt about its eigenvalues
 LOST = 1e-13  # relative distance to a loss of rank, per state, that rounding explains
 ILL_POSED = 1e-12  # relative distance of I + Dk D22 to singular
 SWEEPS = 50  # of the power-of-two balancing; about five are used
@@ -193,10 +192,12 @@ def _unreachable(A: np.ndarray, B: np.ndarray, *, discrete: bool) -> tuple[compl
     n = len(A)
     size = np.linalg.norm(A, 2) or 1.0  # zero for integrators
 
-    def persistent(value):
-        return 1 - abs(value) <= doubt(value) if discrete else -value.real <= doubt(value)
+    values, doubt = doubts(A)
 
-    doubt = _doubts(A)
+    def persistent(value):
+        moved = doubt[np.abs(values - value).argmin()]
+        return 1 - abs(value) <= moved if discrete else -value.real <= moved
+
     # rows of U' span the left invariant subspace: U' A = Au U'
     schur = sla.schur(A.T, output="complex", sort=persistent)
     Tr, Z, k = schur[0], schur[1], int(schur[-1])
@@ -210,16 +211,6 @@ def _unreachable(A: np.ndarray, B: np.ndarray, *, discrete: bool) -> tuple[compl
             lost.append(mode)
     clean = [complex(m.real, 0.0 if abs(m.imag) <= 1e-9 * abs(m) else m.imag) for m in lost]
     return tuple(sorted(clean, key=lambda m: (m.real, m.imag)))
-
-
-def _doubts(A: np.ndarray) -> Callable[[complex], float]:
-    """How far rounding of the entries of A may have moved an eigenvalue, by its value: |y'| |A| |x| / |y'x|."""
-    if not len(A):
-        return lambda value: 0.0
-    values, Y, X = cast("tuple[np.ndarray, ...]", sla.eig(A, left=True))
-    angles = np.abs(np.einsum("ij,ij->j", Y.conj(), X))
-    moved = ROUNDED * np.einsum("ij,ik,kj->j", np.abs(Y), np.abs(A), np.abs(X)) / np.maximum(angles, 1e-8)
-    return lambda value: float(moved[np.abs(values - value).argmin()])
 
 
 def _inverse_root(M: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import ClassVar, NamedTuple, cast
 
 import numpy as np
@@ -22,6 +23,7 @@ import scipy.linalg as sla
 from synth.equations.doubling import Riccati, double, evaluate, is_positive, regularised_lqr, solve_riccati
 from synth.errors import NumericalError
 from synth.systems.generalized import GeneralizedPlant
+from synth.systems.modes import crosses
 from synth.systems.statespace import StateSpace
 
 REGULARISATIONS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # relative to the scaled plant
@@ -174,11 +176,12 @@ def control_riccati(P: GeneralizedPlant, gamma: float, start: np.ndarray | None 
     B, D = np.hstack([P.B1, P.B2]), np.hstack([P.D11, P.D12])
     R = D.T @ D
     R[:nw, :nw] -= gamma**2 * np.eye(nw)
-    if _cancels(P.D12):
-        X = _unstable_part(P, gamma)
-        solution = None if X is None else evaluate(P.A, B, P.C1.T @ P.C1, R, P.C1.T @ D, X)
-    else:
+    split = _perfect(P)
+    if split is None:
         solution = solve_riccati(P.A, B, P.C1.T @ P.C1, R, P.C1.T @ D, start=start)
+    else:
+        X = _unstable_part(split, gamma)
+        solution = None if X is None else evaluate(P.A, B, P.C1.T @ P.C1, R, P.C1.T @ D, X)
     if solution is None or not is_positive(solution.R[nw:, nw:]):
         return None
     size = max(np.linalg.norm(M, 2) for M in (solution.X, solution.X if start is None else start))
@@ -187,44 +190,67 @@ def control_riccati(P: GeneralizedPlant, gamma: float, start: np.ndarray | None 
     return solution if is_positive(-_worst_case(solution.R, nw)) else None
 
 
-def _cancels(D12: np.ndarray) -> bool:
-    """True when u reaches all of z directly, so that it can make z zero at any state."""
-    if D12.shape[0] != D12.shape[1]:
-        return False
-    sigma = np.linalg.svd(D12, compute_uv=False)
-    return bool(sigma[-1] > INVERTIBLE * sigma[0])
+class _Perfect(NamedTuple):
+    """What perfect control leaves: the modes V'x that are unstable under the feedback that makes z zero."""
+
+    V: np.ndarray  # (n, k) orthonormal
+    Ai: np.ndarray  # (k, k) inverse of their matrix Au
+    E: np.ndarray  # (k, nu) V'B2 D12^-1
+    Bw: np.ndarray  # (k, nw) V'(B1 - B2 D12^-1 D11)
 
 
-def _unstable_part(P: GeneralizedPlant, gamma: float) -> np.ndarray | None:
-    """X of `control_riccati` where D12 is invertible, in closed form; None when gamma is too low.
+@lru_cache(maxsize=16)
+def _perfect(P: GeneralizedPlant) -> _Perfect | None:
+    """The unstable modes under perfect control, where u reaches all of z directly; None where it does not.
+
+    None also where double precision cannot tell on which side of the stability boundary a mode lies: then P12 has a
+    zero there, which no controller may cancel.
+    """
+    if P.D12.shape[0] != P.D12.shape[1]:
+        return None
+    sigma = np.linalg.svd(P.D12, compute_uv=False)
+    if sigma[-1] <= INVERTIBLE * sigma[0]:
+        return None
+    E = np.linalg.solve(P.D12.T, P.B2.T).T
+    A, Bw = P.A - E @ P.C1, P.B1 - E @ P.D11
+    if crosses(A, discrete=True):
+        return None
+    T, Z, k = cast("tuple[np.ndarray, np.ndarray, int]", sla.schur(A.T, output="real", sort="ouc"))
+    V = Z[:, :k]
+    return _Perfect(V, np.linalg.inv(T[:k, :k].T), V.T @ E, V.T @ Bw)
+
+
+def _unstable_part(p: _Perfect, gamma: float) -> np.ndarray | None:
+    """X of `control_riccati` in closed form; None when gamma is too low.
 
     With u = -D12^-1 (C1 x + D11 w) + v a cost is left on v alone: X is zero but on the modes V'x that this feedback
     leaves unstable, and its inverse W there solves a linear equation. So a stable mode that is slower than rounding can
     tell, as of the weight of a mixed sensitivity, does no harm.
 
-        V'(A - B2 D12^-1 C1) = Au V',  Au W Au' - W = V'(B2 (D12'D12)^-1 B2' - Bw Bw' / gamma^2) V
+        V'(A - B2 D12^-1 C1) = Au V',  Au W Au' - W = E E' - Bw Bw' / gamma^2
     """
-    E = np.linalg.solve(P.D12.T, P.B2.T).T
-    A, Bw = P.A - E @ P.C1, P.B1 - E @ P.D11
-    T, Z, k = cast("tuple[np.ndarray, np.ndarray, int]", sla.schur(A.T, output="real", sort="ouc"))
+    n, k = p.V.shape
     if k == 0:
-        return np.zeros_like(A)
-    V, Ai = Z[:, :k], np.linalg.inv(T[:k, :k].T)
-    E, Bw = V.T @ E, V.T @ Bw
-    W = double(Ai.T, np.zeros((k, k)), Ai @ (E @ E.T - Bw @ Bw.T / gamma**2) @ Ai.T)
+        return np.zeros((n, n))
+    W = double(p.Ai.T, np.zeros((k, k)), p.Ai @ (p.E @ p.E.T - p.Bw @ p.Bw.T / gamma**2) @ p.Ai.T)
     if W is None or not is_positive(W):
         return None
-    X = V @ np.linalg.solve(W, V.T)
+    X = p.V @ np.linalg.solve(W, p.V.T)
     return (X + X.T) / 2
+
+
+@lru_cache(maxsize=16)
+def dual(P: GeneralizedPlant) -> GeneralizedPlant:
+    """Estimation as control."""
+    return replace(
+        P, A=P.A.T, B1=P.C1.T, B2=P.C2.T, C1=P.B1.T, C2=P.B2.T, D11=P.D11.T, D12=P.D21.T, D21=P.D12.T,
+        D22=P.D22.T, w=(), u=(), z=(), y=(),
+    )  # fmt: skip
 
 
 def estimation_riccati(P: GeneralizedPlant, gamma: float, start: np.ndarray | None = None) -> Riccati | None:
     """The dual of `control_riccati`, for estimation from y."""
-    dual = replace(
-        P, A=P.A.T, B1=P.C1.T, B2=P.C2.T, C1=P.B1.T, C2=P.B2.T, D11=P.D11.T, D12=P.D21.T, D21=P.D12.T,
-        D22=P.D22.T, w=(), u=(), z=(), y=(),
-    )  # fmt: skip
-    return control_riccati(dual, gamma, start)
+    return control_riccati(dual(P), gamma, start)
 
 
 def solve_level(P: GeneralizedPlant, gamma: float, X0: np.ndarray, Y0: np.ndarray) -> Solutions:

@@ -23,7 +23,7 @@ from flint import arb, ctx
 
 from synth.analysis.precondition import Conditioned, precondition
 from synth.equations.doubling import bounded_real, double, solve_riccati
-from synth.equations.hinf_riccati import RiccatiRoute
+from synth.equations.hinf_riccati import RiccatiRoute, dual
 from synth.errors import NumericalError
 from synth.proof import balls
 from synth.proof.balls import Coupling, Impulse, LowerWitness, Step, UpperWitness
@@ -138,7 +138,7 @@ def find_lower(
             g = optimum * (1 - distance) if level is None else level
             control, estimation = (
                 _climb(side, half, start, g / c.scale, part * distance)
-                for side, half, start in zip((floating, _dual(floating)), halves, (route.X, route.Y), strict=True)
+                for side, half, start in zip((floating, dual(floating)), halves, (route.X, route.Y), strict=True)
             )
             if not (control.steps and estimation.steps):
                 reason = (
@@ -202,12 +202,12 @@ def _end(
 ) -> tuple[tuple[Step, ...], tuple[Step, ...], Coupling | Impulse] | None:
     """What the two sides together contradict the level with, or None."""
     g = arb(level)
-    for dual, half, side in ((False, halves[0], control), (True, halves[1], estimation)):
+    for is_dual, half, side in ((False, halves[0], control), (True, halves[1], estimation)):
         if side.w is not None:
             factor = balls.inverse_factor(balls.impulse(half, balls.symmetric(side.X), side.w, g))
             if factor is not None:
-                end = Impulse(side.w, dual, factor)
-                return ((), side.steps, end) if dual else (side.steps, (), end)
+                end = Impulse(side.w, is_dual, factor)
+                return ((), side.steps, end) if is_dual else (side.steps, (), end)
     X, Y = control.X, estimation.X
     e = np.linalg.eigvalsh(X)
     shift = max(-2 * float(e[0]), 1e-13 * float(e[-1]))
@@ -220,11 +220,3 @@ def _end(
     if e[-1] <= 1 or factor is None:
         return None
     return control.steps, estimation.steps, Coupling(np.linalg.solve(L.T, V[:, -1]), shift, factor)
-
-
-def _dual(P: GeneralizedPlant) -> GeneralizedPlant:
-    """Estimation as control."""
-    return replace(
-        P, A=P.A.T, B1=P.C1.T, B2=P.C2.T, C1=P.B1.T, C2=P.B2.T, D11=P.D11.T, D12=P.D21.T, D21=P.D12.T,
-        D22=P.D22.T, w=(), u=(), z=(), y=(),
-    )  # fmt: skip

@@ -97,7 +97,8 @@ def hinfsyn(
     search.optimise(method)
     best = search.best
     if best is None:
-        reasons = "; ".join(f"{name}: {reason}" for name, reason in search.failures.items())
+        latest = {name.split(",")[0]: reason for name, reason in search.failures.items()}
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in latest.items())
         raise NumericalError(f"no method found a controller that verifies: {reasons}", search.failures)
     if gamma is not None and best.measured.norm > gamma:
         raise not_reached(search, best, gamma)

@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from synth.analysis.coprime import Solutions, balanced, gang_of_four, solutions
-from synth.analysis.norms import balance, verify
+from synth.analysis.norms import balance, judge
 from synth.analysis.precondition import check_assumptions
 from synth.checks import as_choice, as_number
 from synth.equations.doubling import FINAL_RESIDUAL
@@ -116,8 +116,7 @@ def ncfsyn(
             best=optimum.gamma,
         )
     Ks = observer_controller(Gs, riccati, level - min(INSIDE * level, (level - lowest) / 2))
-    closed_loop = plant.close(Ks)
-    measured = verify(closed_loop)
+    closed_loop, measured = judge(plant, Ks)
     if measured.norm > level:
         raise VerificationError(
             f"the controller for gamma = {level:.9g} was measured to reach {measured.norm:.9g} only (optimal level "

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from synth.analysis.norms import balance, is_stable, verify
+from synth.analysis.norms import balance, is_stable, judge
 from synth.checks import as_number
 from synth.errors import AssumptionError, ModelError, VerificationError
 from synth.synthesis.design import Design
@@ -137,8 +137,7 @@ def mixsyn(
         return design
     K = shifted(design.controller, -shift)
     check_shift(feedback(G, K), shift)
-    closed_loop = plant.close(K)
-    measured = verify(closed_loop)
+    closed_loop, measured = judge(plant, K)
     info = replace(
         design.info,
         spectral_radius=measured.spectral_radius,

@@ -14,7 +14,7 @@ from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
-from synth.analysis.norms import Verification, check_digits, verify
+from synth.analysis.norms import Verification, judge
 from synth.analysis.precondition import Conditioned, conditioned
 from synth.equations.hinf_riccati import RiccatiRoute
 from synth.errors import InfeasibleError, ModelError, NumericalError, SynthError
@@ -122,7 +122,7 @@ class Search:
         """True when the best controller is within `tol` of an optimum that is believed."""
         if self.best is None:
             return False
-        norm = self.best.measured.norm
+        norm = self.best.measured.norm - self.best.measured.rounding  # which no other attempt would lessen
         near = [claim for claim in self.claims if claim.level <= norm * (1 + self.tol)]
         if any(norm > (1 + self.tol) * claim.level for claim in near):
             return False
@@ -167,7 +167,9 @@ class Search:
         levels = [optimum * (1 + d) for d in dict.fromkeys(distances)]
         for level, following in zip(levels, [*levels[1:], np.inf], strict=True):
             found = self.controllers(name, method, route, rate, level, status)
-            if found is not None and found.measured.norm <= max(found.level, min(following, 2 * level) * scale):
+            if found is not None and found.measured.norm - found.measured.rounding <= max(
+                found.level, min(following, 2 * level) * scale
+            ):
                 return
 
     def _claimed(self, method: str, route: Route, scale: float) -> tuple[float, str]:
@@ -202,9 +204,7 @@ class Search:
             for K in route.controllers(level):
                 try:
                     controller = to_plant(c.restore(K))
-                    closed_loop = self.plant.close(controller)
-                    measured = verify(closed_loop)
-                    check_digits(self.plant, controller, closed_loop, measured)
+                    closed_loop, measured = judge(self.plant, controller)
                 except SynthError as error:
                     self.failures[label] = str(error)
                     continue
@@ -226,7 +226,10 @@ class Search:
         """What a user must know of the best controller and its claims."""
         if self.best is None or not self.claims:
             return
-        norm, lowest = self.best.measured.norm, min(self.claims)
+        norm, rounding, lowest = self.best.measured.norm, self.best.measured.rounding, min(self.claims)
+        if rounding > self.tol * norm:
+            yield f"the loop is ill-conditioned: {rounding / norm:.2g} of its norm is what rounding may hide"
+        norm -= rounding
         if norm > (1 + self.tol) * lowest.level:
             if lowest.scaled < NOTHING:
                 yield (

@@ -177,5 +177,6 @@ def test_weakly_actuated_mode_is_no_false_alarm_and_still_controlled():
     route = RiccatiRoute.of(c.plant)
     level, _ = route.minimise()
     design = hinfsyn(weak)
-    assert design.gamma <= 1.002 * level * c.scale
+    assert hinfnorm(design.closed_loop)[0] <= 1.002 * level * c.scale
+    assert design.gamma <= 1.05 * level * c.scale  # with what rounding may hide in a loop with gains of a million
     assert any("gain margin" in text for text in design.warnings)  # a loop that no satellite should fly
