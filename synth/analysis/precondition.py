@@ -76,12 +76,12 @@ def check_assumptions(P: GeneralizedPlant) -> None:
     if P.A.shape[0] == 0:
         return
     S = _transformed(P, _balance(P))
-    for assumption, A, B, what, remedy in (
-        ("(A, B2) stabilisable", S.A, S.B2, "no actuator moves", "add an actuator that reaches it"),
-        ("(C2, A) detectable", S.A.T, S.C2.T, "no sensor sees", "add a sensor that sees it"),
+    for assumption, balanced, given, what, remedy in (
+        ("(A, B2) stabilisable", (S.A, S.B2), (P.A, P.B2), "no actuator moves", "add an actuator that reaches it"),
+        ("(C2, A) detectable", (S.A.T, S.C2.T), (P.A.T, P.C2.T), "no sensor sees", "add a sensor that sees it"),
     ):
-        modes = _unreachable(A, B, discrete=P.dt > 0)
-        if modes:
+        modes = _unreachable(*balanced, discrete=P.dt > 0)
+        if modes and _unreachable(*given, discrete=P.dt > 0):  # either coordinates may have lost it to rounding
             listed = ", ".join(f"{m.real:.6g}" if m.imag == 0 else f"{m:.6g}" for m in modes)
             raise AssumptionError(
                 assumption,

@@ -28,11 +28,12 @@ from synth.systems.statespace import StateSpace
 
 REGULARISATIONS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # relative to the scaled plant
 BACKOFF = (*(1e-5 * 4.0**k for k in range(6)), 0.1, 1.0, 10.0, 1e2, 1e3)  # the last ones where the optimum is zero
-NEGATIVE = 1e-7  # part of its size that an eigenvalue of X may lie below zero: rounding, where X vanishes
+NEGATIVE = 1e-9  # part of its size that an eigenvalue of X may lie below zero: rounding, where X vanishes
 INVERTIBLE = 1e-4  # ratio of the singular values of D12 from which on it is inverted
 INSIDE = 1e-6  # the central controller for a level is made for one lower by this part, so that it keeps the level
 NEARLY = 0.99  # coupling just above an optimum that it decides
-FAR, FALLEN = 1.1, 1e-2  # so much above the optimum the equations are better conditioned by so much
+FAR = 1.1  # times the optimum, where equations are that have met no wall
+FALLEN, NEARER = 1e-2, 5e-2  # parts that are left there, just above the optimum, of rcond and of the distance
 LOWEST, HIGHEST = 1e-9, 1e9  # levels searched, scaled plant
 MAX_LEVELS = 120  # tried in one search; 10 to 30 are used
 
@@ -118,8 +119,9 @@ class RiccatiRoute:
     def certain(self, level: float) -> bool:
         """True when the optimum found needs no second opinion.
 
-        It is the Parrott bound; or just above it the coupling is nearly one, or an equation is nearly singular (a wall
-        that was met, not digits that were lost); and a slightly regularised plant is not feasible lower down.
+        It is the Parrott bound; or a wall was met, not digits lost: just above it the coupling is nearly one, or an
+        equation is nearly singular, or its loop nearly on the unit circle; and a slightly regularised plant is not
+        feasible lower down.
         """
         if level not in self._certain:
             self._certain[level] = self._met(level)
@@ -133,9 +135,20 @@ class RiccatiRoute:
             return False
         if near.coupling < NEARLY:
             far = solve_level(self.plant, level * FAR, self.X, self.Y)
-            if not (far.feasible and near.rcond < FALLEN * far.rcond):
+            met = near.rcond < FALLEN * far.rcond or self._distance(near) < NEARER * self._distance(far)
+            if not (far.feasible and met):
                 return False
         return not solve_level(regularised(self.plant, 1e-5), level * (1 - 1e-4), self.X, self.Y).feasible
+
+    def _distance(self, s: Solutions) -> float:
+        """How far the loops of both equations are from the unit circle."""
+        P, radii = self.plant, [0.0]
+        for A, B, found in (
+            (P.A, np.hstack([P.B1, P.B2]), s.X),
+            (P.A.T, np.vstack([P.C1, P.C2]).T, s.Y),
+        ):
+            radii += [] if found is None else [float(np.abs(np.linalg.eigvals(A + B @ found.F)).max(initial=0.0))]
+        return 1 - max(radii)
 
 
 def regularised(P: GeneralizedPlant, epsilon: float) -> GeneralizedPlant:

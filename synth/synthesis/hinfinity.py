@@ -110,10 +110,11 @@ def finished(search: Search, found: Candidate, started: float) -> Design:
     plant, measured = search.plant, found.measured
     versions, date = provenance(*(() if found.solver == "doubling" else ("cvxpy", "clarabel")))
     told = tuple(search.warnings()) if found is search.best else ()
+    contradicted = tuple(search.contradictions()) if found is search.best else ()
     slowest, why = slowest_pole(plant, measured.poles)
     info = Info(
         method=found.method,
-        status="; ".join((found.status, *told)),
+        status="; ".join((found.status, *told, *contradicted)),
         level=found.level,
         optimum=search.optimum,
         spectral_radius=measured.spectral_radius,

@@ -26,7 +26,6 @@ LARGEST_LMI = 20  # plant order up to which "auto" asks the LMIs for a second op
 RATES = (0.1, 10.0, 0.01, 100.0, 1e-3)  # parts of the natural rate, at the fast end of the loop, that are tried in turn
 FEW = 2  # of them before the LMIs are asked, and for the LMIs themselves, which are slow
 SAME = 3.0  # factor within which two rates are one
-UNDERCUT = 1e-6  # a controller this much below an optimum shows that it was none
 NOTHING = 1e-6  # an optimum this far below the level of the LQG loop counts as zero
 
 
@@ -119,19 +118,34 @@ class Search:
 
     @property
     def settled(self) -> bool:
-        """True when the best controller is within `tol` of an optimum that is believed."""
+        """True when the best controller is within `tol` of an optimum that is believed, or the optimum is zero.
+
+        Believed is what the Riccati equations are certain of, or what two attempts agree on.
+        """
         if self.best is None:
             return False
-        norm = self.best.measured.norm - self.best.measured.rounding  # which no other attempt would lessen
-        near = [claim for claim in self.claims if claim.level <= norm * (1 + self.tol)]
-        if any(norm > (1 + self.tol) * claim.level for claim in near):
+        if any(claim.scaled < NOTHING for claim in self.claims):
+            return True
+        agreeing = self.agreeing
+        if any(claim.certain and claim not in agreeing and claim.level < self.reached for claim in self.claims):
             return False
-        return len(near) > 1 or any(claim.certain for claim in near)
+        return len(agreeing) > 1 or any(claim.certain for claim in agreeing)
+
+    @property
+    def reached(self) -> float:
+        """The norm of the best controller without what rounding may hide, which no other attempt would lessen."""
+        return np.inf if self.best is None else self.best.measured.norm - self.best.measured.rounding
+
+    @property
+    def agreeing(self) -> list[Claim]:
+        """The claims that the best controller comes within `tol` of, from above or from below."""
+        return [c for c in self.claims if c.level / (1 + self.tol) <= self.reached <= (1 + self.tol) * c.level]
 
     @property
     def optimum(self) -> float | None:
-        """The lowest level that any route claims, unless a controller was measured to go lower."""
-        levels = [claim.level for claim in self.claims]
+        """The lowest believed level, or where none is the lowest claim; a controller that goes lower is lower."""
+        believed = self.agreeing if self.settled and self.agreeing else self.claims
+        levels = [claim.level for claim in believed]
         return min([*levels, self.best.measured.norm] if self.best else levels) if levels else None
 
     def at(self, rate: float | None) -> tuple[Conditioned, Callable[[StateSpace], StateSpace]]:
@@ -205,7 +219,7 @@ class Search:
                 try:
                     controller = to_plant(c.restore(K))
                     closed_loop, measured = judge(self.plant, controller)
-                except SynthError as error:
+                except (SynthError, np.linalg.LinAlgError) as error:
                     self.failures[label] = str(error)
                     continue
                 found = Candidate(
@@ -226,19 +240,28 @@ class Search:
         """What a user must know of the best controller and its claims."""
         if self.best is None or not self.claims:
             return
-        norm, rounding, lowest = self.best.measured.norm, self.best.measured.rounding, min(self.claims)
-        if rounding > self.tol * norm:
-            yield f"the loop is ill-conditioned: {rounding / norm:.2g} of its norm is what rounding may hide"
-        norm -= rounding
-        if norm > (1 + self.tol) * lowest.level:
-            if lowest.scaled < NOTHING:
-                yield (
-                    "the optimum is zero, or so small that it is not attained: gains grow without bound as the level "
-                    f"falls; the norm of this controller is {norm:.4g}: ask for a level with gamma="
-                )
-            else:
-                yield f"{lowest.method!r} claims an optimum of {lowest.level:.7g}, {norm / lowest.level - 1:.2g} below"
+        rounding, lowest = self.best.measured.rounding, min(self.claims)
+        if rounding > self.tol * self.best.measured.norm:
+            part = rounding / self.best.measured.norm
+            yield f"the loop is ill-conditioned: {part:.2g} of its norm is what rounding may hide"
+        if lowest.scaled < NOTHING:
+            yield (
+                "the optimum is zero, or so small that it is not attained: gains grow without bound as the level "
+                f"falls; the norm of this controller is {self.best.measured.norm:.4g}: ask for a level with gamma="
+            )
+        elif self.reached > (1 + self.tol) * lowest.level and not self.settled:
+            yield (
+                f"{lowest.method!r} claims an optimum of {lowest.level:.7g}; this controller is "
+                f"{self.reached / lowest.level - 1:.2g} above it"
+            )
+
+    def contradictions(self) -> Iterator[str]:
+        """Claims that are not believed, for the status."""
+        if self.best is None:
+            return
         for method in dict.fromkeys(claim.method for claim in self.claims):
             claim = min(claim for claim in self.claims if claim.method == method)
-            if norm < claim.level * (1 - UNDERCUT) and claim.level > (1 + self.tol) * lowest.level:
+            if claim.level > (1 + self.tol) * self.reached:
                 yield f"the optimum {claim.level:.7g} of {method!r} was none: it was undercut"
+            elif claim.level < self.reached / (1 + self.tol) and self.settled and claim.scaled >= NOTHING:
+                yield f"an optimum of {claim.level:.7g}, claimed by {method!r}, was not confirmed"

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from literature import compleib, cubesat_pecorilla2024, mass_spring_chain, random_plant
 
+from synth.analysis.norms import hinfnorm
 from synth.analysis.precondition import check_assumptions, precondition
 from synth.equations.hinf_riccati import RiccatiRoute
 from synth.errors import AssumptionError, ModelError, NumericalError
