@@ -81,7 +81,7 @@ def check_assumptions(P: GeneralizedPlant) -> None:
         ("(C2, A) detectable", (S.A.T, S.C2.T), (P.A.T, P.C2.T), "no sensor sees", "add a sensor that sees it"),
     ):
         modes = _unreachable(*balanced, discrete=P.dt > 0)
-        if modes and _unreachable(*given, discrete=P.dt > 0):  # either coordinates may have lost it to rounding
+        if modes and any(_is_lost(*given, m) for m in modes):  # scaling may have lost what the coordinates given have
             listed = ", ".join(f"{m.real:.6g}" if m.imag == 0 else f"{m:.6g}" for m in modes)
             raise AssumptionError(
                 assumption,
@@ -211,6 +211,13 @@ def _unreachable(A: np.ndarray, B: np.ndarray, *, discrete: bool) -> tuple[compl
             lost.append(mode)
     clean = [complex(m.real, 0.0 if abs(m.imag) <= 1e-9 * abs(m) else m.imag) for m in lost]
     return tuple(sorted(clean, key=lambda m: (m.real, m.imag)))
+
+
+def _is_lost(A: np.ndarray, B: np.ndarray, mode: complex) -> bool:
+    """True when B does not reach a mode of A, up to rounding."""
+    size, gain = np.linalg.norm(A, 2) or 1.0, np.linalg.norm(B, 2) or 1.0
+    s = np.linalg.svd(np.hstack([A - mode * np.eye(len(A)), B * (size / gain)]), compute_uv=False)
+    return bool(s[-1] <= LOST * len(A) * size)
 
 
 def _inverse_root(M: np.ndarray) -> np.ndarray:
