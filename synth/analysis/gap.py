@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.linalg as sla
 
-from synth.analysis.coprime import gang_of_four, left_factors, right_factors
+from synth.analysis.coprime import balanced, gang_of_four, left_factors, right_factors, solutions
 from synth.analysis.norms import balance, hinfnorm, spectral_radius
 from synth.analysis.precondition import check_assumptions
 from synth.equations.doubling import is_positive, solve_riccati
@@ -69,7 +69,7 @@ def gapmetric(G1: Any, G2: Any) -> Gap:
         raise ModelError(f"G1 is {G1.ny} x {G1.nu}, G2 is {G2.ny} x {G2.nu}; a gap needs plants of the same size")
     for G in (G1, G2):
         check_assumptions(gang_of_four(G))
-    H1, H2 = on_circle(loop_rate(G1, G2), G1, G2)
+    H1, H2 = (balanced(H, solutions(H)) for H in on_circle(loop_rate(G1, G2), G1, G2))
     R1, R2 = right_factors(H1), right_factors(H2)
     if not _homotopic(R1, R2):
         return Gap(1.0, 1.0)
