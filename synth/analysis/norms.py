@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.linalg as sla
 
-from synth.analysis.truncation import balanced_truncation, rounding
+from synth.analysis.truncation import balanced_truncation, gramian_factor, rounding
 from synth.checks import as_number
 from synth.equations.doubling import bounded_real
 from synth.errors import NumericalError, VerificationError
@@ -74,11 +74,9 @@ def h2norm(system: Any) -> float:
         return np.inf
     if G.n == 0:
         return float(np.linalg.norm(G.D))
-    if G.discrete:
-        W = sla.solve_discrete_lyapunov(G.A, G.B @ G.B.T)
-    else:
-        W = sla.solve_continuous_lyapunov(G.A, -G.B @ G.B.T)
-    return float(np.sqrt(max(np.trace(G.C @ W @ G.C.T) + np.trace(G.D @ G.D.T), 0.0)))
+    H = G if G.discrete else cayley(G, pole_rate(G.poles()))  # its states are reached alike
+    A, Z = sla.schur(H.A, output="real")[:2]
+    return float(np.hypot(np.linalg.norm(G.C @ Z @ gramian_factor(A, Z.T @ H.B)), np.linalg.norm(G.D)))
 
 
 @one_thread

@@ -26,7 +26,7 @@ def balanced_truncation(G: StateSpace, error: float) -> tuple[StateSpace, float]
     """
     A, Z = sla.schur(G.A, output="real")[:2]  # whose powers are triangular, so that no rounding makes them grow
     B, C = Z.T @ G.B, G.C @ Z
-    reached, seen = _gramian_factor(A, B), _gramian_factor(A.T, C.T)
+    reached, seen = gramian_factor(A, B), gramian_factor(A.T, C.T)
     if not (np.isfinite(reached).all() and np.isfinite(seen).all()):  # so near the boundary that rounding crosses it
         return G, 0.0
     U, sigma, Vt = np.linalg.svd(seen.T @ reached)
@@ -40,14 +40,14 @@ def balanced_truncation(G: StateSpace, error: float) -> tuple[StateSpace, float]
 def rounding(G: StateSpace) -> float:
     """What rounding alone may leave of the H-infinity norm of a stable discrete system in which everything cancels."""
     A, Z = sla.schur(G.A, output="real")[:2]
-    reached, seen = _gramian_factor(A, Z.T @ G.B), _gramian_factor(A.T, Z.T @ G.C.T)
+    reached, seen = gramian_factor(A, Z.T @ G.B), gramian_factor(A.T, Z.T @ G.C.T)
     if not (np.isfinite(reached).all() and np.isfinite(seen).all()):
         return np.inf
     largest = np.linalg.norm(reached, 2) * np.linalg.norm(seen, 2) + np.linalg.norm(G.D, 2)
     return float(2 * max(G.n, 1) * np.finfo(float).eps * largest)
 
 
-def _gramian_factor(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+def gramian_factor(A: np.ndarray, B: np.ndarray) -> np.ndarray:
     """L with L L' = sum of A^k B B' A'^k, at most as wide as A; not finite where the sum is not."""
     L = B
     with np.errstate(all="ignore"):
