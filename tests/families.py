@@ -266,7 +266,9 @@ def loop_response(P: GeneralizedPlant, K: StateSpace, omega: np.ndarray, unit: f
         I = _matrix(np.eye(nu))
         for w in omega:
             G, H = _exact(P.system, w, unit), _exact(K, w, unit)
-            zw, zu, yw, yu = (_part(G, *at) for at in ((0, nz, 0, nw), (0, nz, nw, nu), (nz, ny, 0, nw), (nz, ny, nw, nu)))
+            zw, zu, yw, yu = (
+                _part(G, *at) for at in ((0, nz, 0, nw), (0, nz, nw, nu), (nz, ny, 0, nw), (nz, ny, nw, nu))
+            )
             found.append(zw + zu * (I - H * yu).solve(H * yw))
         return _doubles(found)
 
