@@ -16,6 +16,7 @@ from synth.checks import as_array, as_cost, as_matrix, as_number
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.systems.connect import check_dynamic
 from synth.systems.generalized import GeneralizedPlant
+from synth.systems.realization import Matrices, state_scales
 from synth.systems.statespace import StateSpace, as_system
 
 UNSEEN = 1e-10  # relative singular value below which a mode on the boundary is not seen
@@ -167,6 +168,8 @@ def lqrd(*arguments: Any, **named: Any) -> Gains:
     A, B, n, m = given.G.A, given.G.B, given.G.n, given.G.nu
     Q, R = as_cost("Q", given.weights[0], n), as_cost("R", given.weights[1], m, definite=True)
     dt = as_number("dt", given.weights[2], "the control period in seconds", above=0)
+    scales = _scales(A, B, Q)
+    A, B, Q = A * scales / scales[:, None], B / scales[:, None], scales[:, None] * Q * scales
     doublings = max(int(np.ceil(np.log2(max(np.linalg.norm(A, 2) * dt, 1.0)))), 0)
     with np.errstate(over="ignore", invalid="ignore"):
         cost = sampled_cost(A, B, Q, R, dt / 2**doublings)
@@ -177,7 +180,8 @@ def lqrd(*arguments: Any, **named: Any) -> Gains:
             f"the fastest mode of A, {np.abs(np.linalg.eigvals(A)).max():.4g} rad/s, has too many time constants in "
             f"dt = {dt:g} s for an exponential; pass a shorter period, or a model without that mode"
         )
-    return dlqr(cost.F, cost.G, (cost.Q + cost.Q.T) / 2, (cost.R + cost.R.T) / 2, cost.N)
+    K, S, E = dlqr(cost.F, cost.G, (cost.Q + cost.Q.T) / 2, (cost.R + cost.R.T) / 2, cost.N)
+    return K / scales, S / scales / scales[:, None], E
 
 
 def sampled_cost(A: Any, B: Any, Q: Any, R: Any, dt: Any, *, xp: Any = np, expm: Any = sla.expm) -> SampledCost:
@@ -243,6 +247,8 @@ def _regulator(G: StateSpace, Q: Any, R: Any, N: Any, *, discrete: bool) -> Gain
     as_cost("[[Q, N], [N', R]]", np.block([[Q, N], [N.T, R]]), n + m)
     if n == 0:
         raise ModelError("A has no states; there is nothing to regulate")
+    scales = _scales(A, B, Q)
+    A, B, Q, N = A * scales / scales[:, None], B / scales[:, None], scales[:, None] * Q * scales, scales[:, None] * N
     _check_stabilisable(A, B, discrete)
     F = np.linalg.solve(R, N.T)
     _check_seen(A - B @ F, Q - N @ F, discrete)
@@ -263,7 +269,12 @@ def _regulator(G: StateSpace, Q: Any, R: Any, N: Any, *, discrete: bool) -> Gain
             f"the regulator found leaves a pole at {E[np.argmax(np.abs(E) if discrete else E.real)]:.6g}: the weights "
             "hardly see it or the actuators hardly move it; rescale the states or change the weights"
         )
-    return K, (S + S.T) / 2, E
+    return K / scales, (S + S.T) / 2 / scales / scales[:, None], E
+
+
+def _scales(A: np.ndarray, B: np.ndarray, Q: np.ndarray) -> np.ndarray:
+    """Powers of two, (n,), x = scales x_new, for which states are of like size; going back is exact."""
+    return state_scales(Matrices(A, B, np.diag(np.sqrt(np.maximum(np.diag(Q), 0.0))), np.zeros((len(A), B.shape[1]))))
 
 
 def _check_stabilisable(A, B, discrete: bool) -> None:
