@@ -101,9 +101,8 @@ def modal_form(rng: Random) -> StateSpace:
     return StateSpace(sla.block_diag(*blocks), B, C, np.zeros((m, m)))
 
 
-def companion_form(rng: Random, w0: float, unit: float = 1.0) -> StateSpace:
-    """A companion form of two to five poles about w0 rad/s, as transfer functions come; states in units of `unit`."""
-    n = int(rng.integers(2, 6))
+def companion_form(rng: Random, n: int, w0: float, unit: float = 1.0) -> StateSpace:
+    """A companion form of n poles about w0 rad/s, as transfer functions come; states in units of `unit`."""
     den = np.poly(-w0 / unit * rng.uniform(0.3, 3, n))
     A = np.zeros((n, n))
     A[:-1, 1:], A[-1] = np.eye(n - 1), -den[::-1][:n]
@@ -127,8 +126,8 @@ def sampled(rng: Random) -> StateSpace:
 
 
 def companion_decades(rng: Random) -> StateSpace:
-    """A companion form of poles about 1 to 1e5 rad/s."""
-    return companion_form(rng, 10 ** rng.uniform(0, 5))
+    """A companion form of two to five poles about 1 to 1e5 rad/s."""
+    return companion_form(rng, int(rng.integers(2, 6)), 10 ** rng.uniform(0, 5))
 
 
 PLANTS: dict[str, Callable[[Random], StateSpace]] = {
@@ -168,8 +167,8 @@ def companion(rng: Random) -> GeneralizedPlant:
 
     Those that will be turned are of poles about 1 in units of w0: turned companion forms of fast poles hold no digit.
     """
-    w0, turned = 10 ** rng.uniform(0, 5), rng.random() < 0.5
-    G = companion_form(rng, w0, w0 if turned else 1.0)
+    n, w0, turned = int(rng.integers(2, 6)), 10 ** rng.uniform(0, 5), rng.random() < 0.5
+    G = companion_form(rng, n, w0, w0 if turned else 1.0)
     P = augw(G, integrating(rng, 0.3 * w0, 10 ** rng.uniform(-4, -2) * w0), float(10 ** rng.uniform(-1.5, 0.5)))
     return P if turned else replace(P, units={P.u[0]: AS_IT_IS})
 

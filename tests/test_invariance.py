@@ -8,7 +8,6 @@ is turned gets poles at 1e-8, which is no loss, because no loop shows them.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
@@ -33,7 +32,6 @@ from families import (
 )
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
-from literature import DATA
 
 from synth import (
     AssumptionError,
@@ -45,7 +43,6 @@ from synth import (
     c2d,
     diskmargin,
     dlqr,
-    feedback,
     gapmetric,
     h2norm,
     hinfnorm,
