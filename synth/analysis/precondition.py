@@ -12,6 +12,7 @@ References: Osborne (1960), J. ACM 7; Jonckheere and Silverman (1983), IEEE TAC 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -150,6 +151,7 @@ def _transformed(P: GeneralizedPlant, c: _Coordinates) -> GeneralizedPlant:
     )  # fmt: skip
 
 
+@lru_cache(maxsize=8)
 def _balance(P: GeneralizedPlant) -> _Coordinates:
     """Powers of two for every state, actuator and sensor, one number for w and one for z (Osborne)."""
     n, _, nu, _, ny = P.sizes

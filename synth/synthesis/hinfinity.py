@@ -29,6 +29,7 @@ from synth.systems.generalized import GeneralizedPlant
 from synth.threads import one_thread
 
 STUCK = 1e-5  # of the median decay: what is slower was not placed on purpose
+ADDED = 1e-3  # likewise, where the equations were regularised, which moves what nothing else moves
 METHODS = ("auto", "riccati", "lmi", "standard", "extended")
 PROVABLE = 50  # states up to which an InfeasibleError comes with a proof, which takes about as long as the design
 BITS = 128  # of that proof
@@ -111,7 +112,7 @@ def finished(search: Search, found: Candidate, started: float) -> Design:
     versions, date = provenance(*(() if found.solver == "doubling" else ("cvxpy", "clarabel")))
     told = tuple(search.warnings()) if found is search.best else ()
     contradicted = tuple(search.contradictions()) if found is search.best else ()
-    slowest, why = slowest_pole(plant, measured.poles)
+    slowest, why = slowest_pole(plant, measured.poles, ADDED if "regularised" in found.status else STUCK)
     info = Info(
         method=found.method,
         status="; ".join((found.status, *told, *contradicted)),
@@ -150,11 +151,11 @@ def not_reached(search: Search, best: Candidate, gamma: float) -> InfeasibleErro
     return InfeasibleError(f"gamma = {gamma:.7g} was not reached: {best_so_far}, {proved}", best=norm, lower=lower)
 
 
-def slowest_pole(plant: GeneralizedPlant, poles: np.ndarray) -> tuple[float, tuple[str, ...]]:
+def slowest_pole(plant: GeneralizedPlant, poles: np.ndarray, part: float = STUCK) -> tuple[float, tuple[str, ...]]:
     """The slowest decay of the loop in rad/s, and a warning where the design hardly moved it off the boundary."""
     own, loop = _decays(plant.system.poles(), plant.dt), _decays(poles, plant.dt)
     slowest = float(loop.min(initial=np.inf))
-    slow = STUCK * float(np.median(loop)) if loop.size else 0.0
+    slow = part * float(np.median(loop)) if loop.size else 0.0
     inherited = np.any((own > 0) & (np.abs(own - slowest) <= 0.5 * slowest))  # as of a slow weight
     if slowest > slow or inherited or not np.any(own < slow):
         return slowest, ()
