@@ -141,7 +141,7 @@ def facts(item: Design | GeneralizedPlant | Model) -> dict[str, Any]:
         "method": about.method,
         "solver": about.solver,
         "status": about.status,
-        "warnings": list(item.warnings),
+        "warnings": list(item.warnings) or ["none"],
         "date": about.date,
         "versions": dict(about.versions),
         "controller_sha256": K.digest(),

@@ -17,6 +17,7 @@ from synth.errors import ModelError
 if TYPE_CHECKING:
     from synth.synthesis.design import Design
 
+LEAST = 4.0  # ratio of the ends of an axis of singular values
 PEAK = 1e3  # times the highest frequency: a peak beyond is not shown
 
 
@@ -56,6 +57,11 @@ def design_plot(design: Design, ax: Any = None, *, label: str | None = None, **s
     if design.info.optimum is not None and design.info.shifted_norm is None:  # else it is of another problem
         loop.axhline(design.info.optimum, color=color, ls="--", label=f"{name}optimum {design.info.optimum:.6g}")
     sigma(design.controller, controller, omega=grid, label=label or "controller", **{"color": color, **style})
+    for each in ax:  # an optimal loop is flat to the last digits, which are not worth a picture
+        low, high = each.get_ylim()
+        if 0 < low < high < LEAST * low:
+            middle = np.sqrt(low * high)
+            each.set_ylim(middle / np.sqrt(LEAST), middle * np.sqrt(LEAST))
     loop.set_title("closed loop, w to z")
     controller.set_title("controller, y to u")
     for each in ax:
