@@ -105,7 +105,7 @@ def info(options: argparse.Namespace) -> int:
             if isinstance(value, dict):
                 value = ", ".join(f"{k} {v}" for k, v in value.items())
             elif isinstance(value, list):
-                value = ", ".join(map(str, value))
+                value = ", ".join(map(str, value)) or "none"
             print(f"  {key.replace('_', ' '):18} {value if not isinstance(value, float) else format(value, '.9g')}")
     return DONE
 
@@ -141,7 +141,7 @@ def facts(item: Design | GeneralizedPlant | Model) -> dict[str, Any]:
         "method": about.method,
         "solver": about.solver,
         "status": about.status,
-        "warnings": list(item.warnings) or ["none"],
+        "warnings": list(item.warnings),
         "date": about.date,
         "versions": dict(about.versions),
         "controller_sha256": K.digest(),
