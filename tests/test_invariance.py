@@ -298,7 +298,7 @@ def test_hinfsyn_by_riccati_equations(count):
 
 @pytest.mark.slow
 def test_hinfsyn_by_lmi():
-    hold(lambda draw: hinfsyn_keeps_its_levels(draw, "lmi"), 40, GENERALISED)
+    hold(lambda draw: hinfsyn_keeps_its_levels(draw, "lmi"), 10, GENERALISED)
 
 
 @effort(10, 200)
