@@ -26,7 +26,7 @@ LARGEST_LMI = 20  # plant order up to which "auto" asks the LMIs for a second op
 RATES = (0.1, 10.0, 0.01, 100.0, 1e-3)  # parts of the natural rate, at the fast end of the loop, that are tried in turn
 FEW = 2  # of them before the LMIs are asked, and for the LMIs themselves, which are slow
 SAME = 3.0  # factor within which two rates are one
-NOTHING = 1e-6  # an optimum this far below the level of the LQG loop counts as zero
+NOTHING, LITTLE = 1e-6, 1e-3  # parts of the LQG loop's level: an optimum that counts as zero, a norm that is near it
 
 
 class Route(Protocol):
@@ -124,7 +124,7 @@ class Search:
         """
         if self.best is None:
             return False
-        if any(claim.scaled < NOTHING for claim in self.claims):
+        if any(claim.scaled < NOTHING and self.reached * claim.scaled < LITTLE * claim.level for claim in self.claims):
             return True
         agreeing = self.agreeing
         if any(claim.certain and claim not in agreeing and claim.level < self.reached for claim in self.claims):
@@ -176,9 +176,7 @@ class Search:
         except SynthError as error:
             self.failures[name] = str(error)
             return
-        distances = [d for d in route.backoff if d > self.tol]
-        distances = [*(d for d in (min(self.tol, route.backoff[0]), *route.backoff) if d <= self.tol), *distances]
-        levels = [optimum * (1 + d) for d in dict.fromkeys(distances)]
+        levels = [optimum * (1 + distance) for distance in sorted({min(self.tol, *route.backoff), *route.backoff})]
         for level, following in zip(levels, [*levels[1:], np.inf], strict=True):
             found = self.controllers(name, method, route, rate, level, status)
             if found is not None and found.measured.norm - found.measured.rounding <= max(
