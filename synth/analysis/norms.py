@@ -265,9 +265,7 @@ def _peak(G: StateSpace, tol: float) -> tuple[float, float, bool]:
         middles = np.concatenate([(crossings[1:] + crossings[:-1]) / 2, crossings])
         values = [gain(t) for t in middles]
         if not values or max(values) <= level * (1 + tol):
-            width = max(1e-4 * angle, 1e-9)
-            top = _climb(gain, max(angle - width, 0.0), min(angle + width, np.pi))
-            return *max((level, angle), top), False
+            return *_ascend(gain, float(level), float(angle)), False
         best = int(np.argmax(values))
         level, angle = values[best], float(middles[best])
     raise NumericalError("the level-set iteration for the H-infinity norm did not end in 60 steps")
@@ -280,6 +278,20 @@ def _highest(gain: Gain, angles: np.ndarray, values: np.ndarray) -> tuple[float,
     tops = sorted(tops, key=lambda i: -values[i])[:CLIMBS]
     last = len(angles) - 1
     return max(_climb(gain, angles[max(i - 1, 0)], angles[min(i + 1, last)]) for i in tops)
+
+
+def _ascend(gain: Gain, level: float, angle: float) -> tuple[float, float]:
+    """The local maximum that is reached uphill from a point, in ever wider steps."""
+    width = max(1e-4 * angle, 1e-9)
+    while width < np.pi:
+        top, at = _climb(gain, max(angle - width, 0.0), min(angle + width, np.pi))
+        inside = abs(at - angle) < 0.9 * width
+        if top > level:
+            level, angle = top, at
+        if inside:
+            break
+        width *= 4
+    return level, angle
 
 
 def _climb(gain: Gain, low: float, high: float) -> tuple[float, float]:
