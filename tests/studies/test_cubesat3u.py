@@ -1,5 +1,6 @@
 """The CubeSat study from its command line: requirements, the paper's claims, files, and an interruption."""
 
+import html
 import json
 import re
 
@@ -62,7 +63,7 @@ def test_what_the_paper_does_not_say(flown):
     assert growths["MPC velocity"] == pytest.approx(1.627, abs=0.05)  # literature: rho 1.12 to 1.63
     assert growths["MPC position"] == pytest.approx(1.123, abs=0.02)
     assert growths["Hinf"] < 1
-    assert growth(s.controllers["Hinf"], 4) < 1 < growth(s.controllers["Hinf"], 5)
+    assert growth(s.controllers["Hinf"], 5) < 1 < growth(s.controllers["Hinf"], 6)  # a delay margin of 5.5 samples
 
 
 def test_dispersions_were_applied(flown):
@@ -91,7 +92,7 @@ def test_files_and_report(flown):
     assert "EKF + PD" in page
     assert "complete" in page
     for fact in s.design.facts.values():
-        assert f"<dd>{fact}</dd>" in page
+        assert f"<dd>{html.escape(fact)}</dd>" in page
     assert {r.name.split(",")[0] for r in study.margins(s)} == set(study.INDICES)
     assert all(r.met for r in study.margins(s))
 
