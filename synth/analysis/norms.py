@@ -8,6 +8,9 @@ through the Cayley map, which preserves the norm):
 - from above, the bounded-real Riccati equation at a slightly higher level (doubling). It has a stabilising
   solution exactly if the norm is below that level.
 
+A pole is stable if it is so by more than rounding of A may have moved it, and what rounding may hide of the response
+where it is largest is added to the norm.
+
 References: Bruinsma and Steinbuch (1990), Systems & Control Letters 14, 287; Boyd and Balakrishnan (1990),
 Systems & Control Letters 15, 1; bounded real lemma: de Souza and Xie (1992), Systems & Control Letters 18, 61.
 """
@@ -40,7 +43,7 @@ ROUNDINGS = 2  # of doubles, in an entry of a matrix that was computed
 SUSPICIOUS = 1e-6  # of a distance to the stability boundary, from which on it is compared with rounding
 NEGLIGIBLE = 1e-8  # of the norm: what states that hardly matter may have in it
 LARGE = 60  # states from which on the level-set method is left out where the bounded-real equation confirms a climb
-CLIMBS = 4  # local maxima that are climbed then
+CLIMBS = 2  # local maxima that are climbed then
 GOLDEN = (np.sqrt(5) - 1) / 2
 NEAR_CIRCLE = 1e-4  # an eigenvalue this near the unit circle is a candidate crossing; candidates are then evaluated
 
@@ -129,7 +132,7 @@ def verify(system: Any) -> Verification:
         norm = found.peak * (1 + CONFIRM[0])
     else:
         norm = confirm(H, max(found.peak, floor))
-    lost = _lost(H, np.exp(1j * found.angle), np.linalg.norm(H.A) * np.eye(H.n))
+    lost = _lost(H, np.exp(1j * found.angle), float(np.linalg.norm(H.A)))
     return _with_rounding(Verification(radius, norm, found.peak, found.frequency, 0.0, poles), lost)
 
 
@@ -198,8 +201,8 @@ def _check_stable(G: StateSpace, poles: np.ndarray, radius: float) -> None:
         )
 
 
-def _lost(G: StateSpace, s: complex, size: np.ndarray) -> float:
-    """What an error of A of `size` (n, n) roundings may change of the response at s or z."""
+def _lost(G: StateSpace, s: complex, size: float | np.ndarray) -> float:
+    """What rounding of A may change of the response at s or z; `size` is its norm, or (n, n) what was rounded."""
     if G.n == 0:
         return 0.0
     E = s * np.eye(G.n) - G.A
@@ -207,8 +210,8 @@ def _lost(G: StateSpace, s: complex, size: np.ndarray) -> float:
         left, right = np.linalg.solve(E.T, G.C.T).T, np.linalg.solve(E, G.B)
     except np.linalg.LinAlgError:
         return np.inf
-    if size[0, 0] and not np.any(size - np.diag(np.diag(size))):  # a number: norms will do
-        effect = np.linalg.norm(left, 2) * size[0, 0] * np.linalg.norm(right, 2)
+    if isinstance(size, float):
+        effect = np.linalg.norm(left, 2) * size * np.linalg.norm(right, 2)
     else:
         effect = np.linalg.norm(np.abs(left) @ size @ np.abs(right), 2)
     return float(ROUNDINGS * np.finfo(float).eps * effect)
