@@ -90,8 +90,8 @@ def hinfsyn(
     check_assumptions(plant)
     search = Search(plant, tol, make_route)
     if gamma is not None:
-        first = ("riccati", "lmi") if method == "auto" and len(plant.A) <= LARGEST_LMI else (method,)
-        for name in ("riccati",) if first == ("auto",) else first:
+        both = ("riccati", "lmi") if len(plant.A) <= LARGEST_LMI else ("riccati",)
+        for name in both if method == "auto" else (method,):
             found = search.reach(name, None, gamma)
             if found is not None:
                 return finished(search, found, started)

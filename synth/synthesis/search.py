@@ -101,7 +101,7 @@ class Search:
 
     def rates(self) -> Iterator[float]:
         """Other rates, rad/s, for when the natural one does not do."""
-        natural, factors = 0.0, RATES
+        factors = RATES
         if self.plant.dt > 0:  # which is used as it is, at 2/dt
             try:
                 G, (_, _, nu, _, ny) = self.plant.system, self.plant.sizes
