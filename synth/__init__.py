@@ -11,13 +11,15 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from synth.analysis.coprime import gang_of_four as gang_of_four
     from synth.analysis.coprime import ncfmargin as ncfmargin
+    from synth.analysis.diskmargins import diskmargin as diskmargin
+    from synth.analysis.diskmargins import diskmargin_at as diskmargin_at
     from synth.analysis.gap import Gap as Gap
     from synth.analysis.gap import gapmetric as gapmetric
     from synth.analysis.norms import h2norm as h2norm
     from synth.analysis.norms import hinfnorm as hinfnorm
     from synth.analysis.norms import verify as verify
     from synth.analysis.stabilitymargins import Margins as Margins
-    from synth.analysis.stabilitymargins import diskmargin as diskmargin
+    from synth.analysis.stabilitymargins import allmargin as allmargin
     from synth.analysis.stabilitymargins import margin as margin
     from synth.analysis.stabilitymargins import margins as margins
     from synth.command.specification import Study as Study
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     from synth.delivery.frequencyplots import nichols as nichols
     from synth.delivery.frequencyplots import nyquist as nyquist
     from synth.delivery.frequencyplots import sigma as sigma
+    from synth.delivery.marginplots import diskmarginplot as diskmarginplot
     from synth.delivery.timeplots import impulse as impulse
     from synth.delivery.timeplots import pzmap as pzmap
     from synth.delivery.timeplots import step as step
@@ -123,12 +126,15 @@ _HOME = {
     "SynthError": "errors",
     "VerificationError": "errors",
     "accept": "delivery.acceptance",
+    "allmargin": "analysis.stabilitymargins",
     "augw": "synthesis.mixedsensitivity",
     "bode": "delivery.frequencyplots",
     "c2d": "systems.sampled",
     "care": "equations.riccati",
     "dare": "equations.riccati",
-    "diskmargin": "analysis.stabilitymargins",
+    "diskmargin": "analysis.diskmargins",
+    "diskmargin_at": "analysis.diskmargins",
+    "diskmarginplot": "delivery.marginplots",
     "dlqr": "regulators.regulator",
     "export": "delivery.formats",
     "feedback": "systems.connect",

@@ -98,10 +98,13 @@ def curve(ax: Any) -> np.ndarray:
 # function -> what it makes of one system at a timebase, as numbers that no coordinates change
 OF_A_SYSTEM: dict[str, Callable[[Any, float], Any]] = {
     "accept": lambda G, dt: synth.accept(-0.3, synth.gang_of_four(G), dt=None if dt else 0.1).level,
+    "allmargin": lambda G, dt: [*synth.allmargin(G).phase, *synth.allmargin(G).gain],
     "augw": lambda G, dt: response(synth.augw(G, 1.0, 0.1).system),
     "bode": lambda G, dt: curve(synth.bode(G, omega=OMEGA)[0]),
     "c2d": lambda G, dt: response(synth.c2d(G, DT)) if not dt else 0.0,
     "diskmargin": lambda G, dt: synth.diskmargin(G).alpha,
+    "diskmargin_at": lambda G, dt: synth.diskmargin_at(G, OMEGA),
+    "diskmarginplot": lambda G, dt: curve(synth.diskmarginplot(G, omega=OMEGA)[0]),
     "dlqr": lambda G, dt: np.sort_complex(synth.dlqr(G, weights(G)[0], 2.0)[2]) if dt else 0.0,
     "feedback": lambda G, dt: response(synth.feedback(G, 1)) + response(synth.feedback(G, G)),
     "free_motion": lambda G, dt: synth.free_motion(G, np.zeros(2), dt=0.1, samples=3, held=np.ones((3, 1)))
@@ -268,7 +271,10 @@ RIGHT: dict[str, dict[str, Any]] = {
     "c2d": {"G": CONTINUOUS, "dt": 0.1, "method": "zoh"},
     "care": {"A": Z, "B": I, "Q": I, "R": I},
     "dare": {"A": Z, "B": I, "Q": I, "R": I},
-    "diskmargin": {"L": CONTINUOUS, "sign": -1},
+    "allmargin": {"L": CONTINUOUS, "sign": -1},
+    "diskmargin": {"L": CONTINUOUS, "sign": -1, "skew": 0.0},
+    "diskmargin_at": {"L": CONTINUOUS, "omega": [1.0, 2.0], "sign": -1, "skew": 0.0},
+    "diskmarginplot": {"systems": CONTINUOUS, "ax": None, "omega": None, "skew": 0.0},
     "dlqr": {"A": 0.5 * I, "B": I, "Q": I, "R": 1.0, "N": None},
     "export": {"design": SAMPLED, "format": "json", "folder": "out", "name": "name", "force": True,
                "allow_unstable": False, "umin": None, "umax": None, "antiwindup": None, "dtype": "double",
@@ -311,7 +317,16 @@ RIGHT: dict[str, dict[str, Any]] = {
     "verify": {"system": CONTINUOUS},
 }  # fmt: skip
 
-STYLED = {"bode", "impulse", "nichols", "nyquist", "pzmap", "sigma", "step"}  # label and style are matplotlib's
+STYLED = {
+    "bode",
+    "diskmarginplot",
+    "impulse",
+    "nichols",
+    "nyquist",
+    "pzmap",
+    "sigma",
+    "step",
+}  # label and style are matplotlib's
 POSITIONAL = {"dlqr", "lqr", "lqrd", "system"}  # whose parameters are not in their signature
 
 

@@ -48,6 +48,7 @@ GOLDEN = (np.sqrt(5) - 1) / 2
 NEAR_CIRCLE = 1e-4  # an eigenvalue this near the unit circle is a candidate crossing; candidates are then evaluated
 
 Gain = Callable[[float], float]  # largest singular value by the angle on the unit circle
+Transfer = Callable[[float], np.ndarray]  # (p, m) complex
 
 
 def spectral_radius(A: np.ndarray) -> float:
@@ -264,8 +265,8 @@ def _peak(G: StateSpace, tol: float) -> tuple[float, float, bool]:
         if bounded_real(G, level * (1 + CONFIRM[0]), stable=True) is not None:
             return level, angle, True
     for _ in range(60):
-        crossings = _crossings(G, level * (1 + tol))
-        middles = np.concatenate([(crossings[1:] + crossings[:-1]) / 2, crossings])
+        ends = crossings(G, level * (1 + tol))
+        middles = np.concatenate([(ends[1:] + ends[:-1]) / 2, ends])
         values = [gain(t) for t in middles]
         if not values or max(values) <= level * (1 + tol):
             return *_ascend(gain, float(level), float(angle)), False
@@ -280,14 +281,14 @@ def _highest(gain: Gain, angles: np.ndarray, values: np.ndarray) -> tuple[float,
     tops = np.flatnonzero((values >= padded[:-2]) & (values >= padded[2:]))
     tops = sorted(tops, key=lambda i: -values[i])[:CLIMBS]
     last = len(angles) - 1
-    return max(_climb(gain, angles[max(i - 1, 0)], angles[min(i + 1, last)]) for i in tops)
+    return max(climb(gain, angles[max(i - 1, 0)], angles[min(i + 1, last)]) for i in tops)
 
 
 def _ascend(gain: Gain, level: float, angle: float) -> tuple[float, float]:
     """The local maximum that is reached uphill from a point, in ever wider steps."""
     width = max(1e-4 * angle, 1e-9)
     while width < np.pi:
-        top, at = _climb(gain, max(angle - width, 0.0), min(angle + width, np.pi))
+        top, at = climb(gain, max(angle - width, 0.0), min(angle + width, np.pi))
         inside = abs(at - angle) < 0.9 * width
         if top > level:
             level, angle = top, at
@@ -297,7 +298,7 @@ def _ascend(gain: Gain, level: float, angle: float) -> tuple[float, float]:
     return level, angle
 
 
-def _climb(gain: Gain, low: float, high: float) -> tuple[float, float]:
+def climb(gain: Gain, low: float, high: float) -> tuple[float, float]:
     """The local maximum of the gain in an interval of angles, and where it is, by golden section."""
     a, b = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
     fa, fb = gain(a), gain(b)
@@ -314,23 +315,34 @@ def _climb(gain: Gain, low: float, high: float) -> tuple[float, float]:
     return max((fa, float(a)), (fb, float(b)))
 
 
-def _gain(G: StateSpace) -> tuple[Gain, np.ndarray]:
-    """The function angle -> largest singular value of G(e^{j angle}), and the poles; one Schur form serves them all."""
-    T, Z = sla.rsf2csf(*sla.schur(G.A, output="real")[:2])
+def transfer(G: StateSpace) -> tuple[Transfer, np.ndarray]:
+    """The function angle -> G(e^{j angle}), inf at a pole, and the poles; one Schur form serves them all."""
+    T, Z = sla.rsf2csf(*sla.schur(G.A, output="real")[:2]) if G.n else (np.zeros((0, 0), complex), np.zeros((0, 0)))
     poles, ZB, CZ, E = np.diag(T).copy(), Z.conj().T @ G.B, G.C @ Z, np.asfortranarray(-T)
 
-    def gain(angle: float) -> float:
+    def response(angle: float) -> np.ndarray:
         np.fill_diagonal(E, np.exp(1j * angle) - poles)
         try:
-            X = sla.solve_triangular(E, ZB, check_finite=False)
+            X = sla.solve_triangular(E, ZB, check_finite=False) if G.n else ZB
         except np.linalg.LinAlgError:  # a pole of the mapped system on the circle
-            return np.inf
-        return float(np.linalg.norm(CZ @ X + G.D, 2))
+            return np.full(G.D.shape, np.inf, complex)
+        return CZ @ X + G.D
+
+    return response, poles
+
+
+def _gain(G: StateSpace) -> tuple[Gain, np.ndarray]:
+    """The function angle -> largest singular value, and the poles."""
+    response, poles = transfer(G)
+
+    def gain(angle: float) -> float:
+        M = response(angle)
+        return float(np.linalg.norm(M, 2)) if np.isfinite(M).all() else np.inf
 
     return gain, poles
 
 
-def _crossings(G: StateSpace, level: float) -> np.ndarray:
+def crossings(G: StateSpace, level: float) -> np.ndarray:
     """Angles at which a singular value of G may equal `level`: unit eigenvalues of the symplectic pencil.
 
     With B, C scaled by level^-1/2 and D by 1/level the pencil of x+ = A x + B v, p = A'p+ + C'(C x + D v),

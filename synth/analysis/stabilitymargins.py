@@ -1,43 +1,31 @@
 """Stability margins: gain, phase and delay of one loop, disk margins of one or all, at the plant's input and output.
 
-Nothing is gridded. A loop L(z) of one signal meets the critical point where it is real or has modulus one, that is,
-at the unit eigenvalues of two symplectic-like pencils (L~ is the transpose of L(1/z)):
+Gain, phase and delay are read where the loop, evaluated on its own matrices, is real or has modulus one (`crossings`),
+and confirmed by the poles of the loop that they lead to, a complex gain inside them. Disk margins are in `diskmargins`.
 
-    gain    L - L~ = 0:    x+ = A x + B v, q = A'q+ + C'v, 0 = C x + (D - D') v - B'q+
-    phase   L~ L - 1 = 0:  the pencil of the bounded-real lemma at level one (`norms`)
-
-The disk margin with skew 0 is alpha = 2 / ||S - T||; the loop stays stable for every gain and phase, complex and in
-each channel on its own, in the disk (1 + d/2)/(1 - d/2), |d| < alpha. Several channels at once are taken as one full
-uncertain matrix, so that their alpha is guaranteed, and cautious. Continuous loops go through the Cayley map.
-
-References: Seiler, Packard and Gahinet (2020), An Introduction to Disk Margins, IEEE Control Systems 40(5), 78;
-Skogestad and Postlethwaite (2005), Multivariable Feedback Control, section 2.4.3.
+Reference: Skogestad and Postlethwaite (2005), Multivariable Feedback Control, section 2.4.3.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy.linalg as sla
 
 from synth.analysis.coprime import ncfmargin
-from synth.analysis.norms import balance, hinfnorm, is_stable
-from synth.checks import as_sign
-from synth.errors import ModelError
+from synth.analysis.crossings import Crossings, find
+from synth.analysis.diskmargins import DiskMargin, diskmargin, negative
+from synth.analysis.norms import is_stable
+from synth.errors import ModelError, NumericalError
 from synth.systems.connect import delayed, feedback, lft, series
-from synth.systems.sampled import cayley, loop_rate
-from synth.systems.statespace import StateSpace, as_system, as_systems, check_loop
+from synth.systems.statespace import StateSpace, as_systems, check_loop
 
-NEAR_CIRCLE = 1e-4  # an eigenvalue this near the unit circle is a candidate; candidates are then polished
-REAL = 1e-6  # |Im L| / |L| up to which a polished candidate counts as real
 NEGLIGIBLE = 1e-9  # a gain below this, or above its inverse, is no limit: poles and zeros on the boundary show there
-UNIT = 1e-6  # distance of |L| from one up to which a polished candidate counts as a crossing
-
-
-Response = Callable[[float], complex]  # of a loop of one signal, by the angle on the unit circle
+ROUNDED = 1e-12  # rad
+INSIDE = (0.5, 0.999)  # parts of a margin at which the poles are asked
+ANY = 1e3  # a gain, up or down, that is asked where any is borne
 
 
 @dataclass(frozen=True)
@@ -64,23 +52,26 @@ class Margin:
         return float(np.rad2deg(self.phase))
 
 
-@dataclass(frozen=True)
-class DiskMargin:
-    """Gain and phase that may change together, in every channel at once."""
+@dataclass(frozen=True, eq=False)
+class AllMargins:
+    """Every crossing of a loop, one change at a time, whether the closed loop is stable or not."""
 
-    alpha: float  # size of the disk, 0 for an unstable loop
-    frequency: float  # rad/s, where it is smallest
+    stable: bool  # the closed loop, as it is
+    gain: np.ndarray  # (a,) factors that bring L to -1, positive
+    gain_frequency: np.ndarray  # (a,) rad/s, inf at the end of a continuous loop
+    phase: np.ndarray  # (b,) rad, positive where a lag brings L to -1, in (-pi, pi]
+    phase_frequency: np.ndarray  # (b,) rad/s
+    delay: np.ndarray  # (c,) s, the shortest that bring L to -1 at each frequency
+    delay_frequency: np.ndarray  # (c,) rad/s
 
-    @property
-    def gain(self) -> tuple[float, float]:
-        """Gains that each channel bears: (1 - alpha/2)/(1 + alpha/2) and its inverse, down to 0 and up to inf."""
-        low = max((1 - self.alpha / 2) / (1 + self.alpha / 2), 0.0)
-        return low, 1 / low if low > 0 else np.inf
 
-    @property
-    def phase(self) -> float:
-        """Phase that each channel bears, rad."""
-        return float(2 * np.arctan(self.alpha / 2)) if self.alpha < 2 else float(np.pi / 2)
+@dataclass(frozen=True, eq=False)
+class Loops:
+    """A loop for negative feedback, cut in three ways."""
+
+    input: StateSpace  # (m x m) at the plant's inputs
+    output: StateSpace  # (p x p) at its outputs
+    both: StateSpace  # (m + p, m + p) at all of them
 
 
 @dataclass(frozen=True)
@@ -93,6 +84,22 @@ class Margins:
     disk_output: DiskMargin  # all plant outputs at once
     ncf: float  # `ncfmargin`
     dt: float  # s
+    loops: Loops = field(repr=False, compare=False)
+
+    @cached_property
+    def disk_inputs(self) -> tuple[DiskMargin, ...]:
+        """(m,) of one plant input at a time, the other loops closed."""
+        return tuple(diskmargin(one_loop(self.loops.input, i)) for i in range(self.loops.input.nu))
+
+    @cached_property
+    def disk_outputs(self) -> tuple[DiskMargin, ...]:
+        """(p,) of one plant output at a time."""
+        return tuple(diskmargin(one_loop(self.loops.output, i)) for i in range(self.loops.output.nu))
+
+    @cached_property
+    def disk_both(self) -> DiskMargin:
+        """All plant inputs and all plant outputs at once."""
+        return diskmargin(self.loops.both)
 
     @property
     def gain_db(self) -> float:
@@ -126,26 +133,93 @@ def margin(L: Any, sign: int = -1) -> Margin:
     Raises
     ------
     ModelError : L has several inputs or outputs, or `sign` is neither -1 nor 1.
+    NumericalError : the poles of the loop do not confirm what its crossings say.
 
     Reference: Skogestad and Postlethwaite (2005), section 2.4.3.
     """
-    G = _negative(L, sign)
-    if (G.ny, G.nu) != (1, 1):
-        raise ModelError(f"L is {G.ny} x {G.nu}; gain and phase margins are of one signal: see `margins`, `diskmargin`")
+    G = _one_signal(L, sign)
     if not _closed_loop_stable(G):
         return Margin(1.0, 1.0, 0.0, 0.0, np.nan, np.nan, np.nan)
-    H, response, to_frequency = _on_circle(G)
-    up, down, at_gain = _gain_margins(H, response)
-    crossings = [(angle, np.angle(-response(angle))) for angle in _unit_crossings(H, response)]
-    phase, at_phase = min(((abs(phi), angle) for angle, phi in crossings), default=(np.pi, np.nan))
-    lags = [(float(phi % (2 * np.pi)) / to_frequency(angle), angle) for angle, phi in crossings if angle > 0]
-    if not G.discrete and abs(G.D[0, 0]) > 1:  # at ever higher frequencies a delay, however short, turns L to -1
-        lags.append((0.0, np.pi))
-    if G.discrete and abs(response(np.pi)) > 1:  # likewise, with more and more samples
-        lags.append((_samples_borne(G, min(lags, default=(np.inf,))[0] / G.dt) * G.dt, np.pi))
+    found = find(G)
+    gains = [g for g in _gains(found) if NEGLIGIBLE < g[0] < 1 / NEGLIGIBLE]
+    up, down = min((g for g in gains if g[0] > 1), default=None), max((g for g in gains if g[0] < 1), default=None)
+    nearer = min((g for g in (up, down) if g), key=lambda g: abs(np.log(g[0])), default=(1.0, np.nan))
+    phase, at_phase = min(((abs(phi), w) for phi, w in _phases(found)), default=(np.pi, np.nan))
+    lags = _lags(found)
+    if not G.discrete and abs(found.end) > 1:  # at ever higher frequencies a delay, however short, turns L to -1
+        lags.append((0.0, np.inf))
+    if G.discrete and abs(found.end) > 1:  # likewise, with more and more samples
+        lags.append((_samples_borne(G, min(lags, default=(np.inf,))[0] / G.dt) * G.dt, np.pi / G.dt))
     delay, at_delay = min(lags, default=(np.inf, np.nan))
-    frequencies = (float(to_frequency(angle)) for angle in (at_gain, at_phase, at_delay))
-    return Margin(up, down, float(phase), float(delay), *frequencies)
+    kept = Margin(up[0] if up else np.inf, down[0] if down else 0.0, phase, delay, nearer[1], at_phase, at_delay)
+    _confirm(G, kept)
+    return kept
+
+
+def allmargin(L: Any, sign: int = -1) -> AllMargins:
+    """Every gain, phase and delay that brings a loop of one signal to the critical point.
+
+    Parameters
+    ----------
+    L, sign : as of `margin`
+
+    Raises
+    ------
+    ModelError : as `margin`.
+    """
+    G = _one_signal(L, sign)
+    found = find(G)
+    columns = (
+        np.array(pairs).reshape(-1, 2).T
+        for pairs in ([g for g in _gains(found) if g[0] > NEGLIGIBLE], _phases(found), _lags(found))
+    )
+    return AllMargins(_closed_loop_stable(G), *(column for pair in columns for column in pair))
+
+
+def _one_signal(L: Any, sign: int) -> StateSpace:
+    """The loop for negative feedback."""
+    G = negative(L, sign)
+    if (G.ny, G.nu) != (1, 1):
+        raise ModelError(f"L is {G.ny} x {G.nu}; gain and phase margins are of one signal: see `margins`, `diskmargin`")
+    return G
+
+
+def _gains(found: Crossings) -> list[tuple[float, float]]:
+    """Factors that bring L to -1, with their frequencies."""
+    return [(-1 / c.value.real, c.frequency) for c in found.real if c.value.real < 0]
+
+
+def _phases(found: Crossings) -> list[tuple[float, float]]:
+    """Lags in rad that bring L to -1, in (-pi, pi], with their frequencies."""
+    lags = ((float(np.angle(-c.value)), c.frequency) for c in found.unit)
+    return [(phi if phi > ROUNDED - np.pi else np.pi, w) for phi, w in lags]
+
+
+def _lags(found: Crossings) -> list[tuple[float, float]]:
+    """The shortest delays in s that bring L to -1, with their frequencies."""
+    return [(phi % (2 * np.pi) / w, w) for phi, w in _phases(found) if 0 < w < np.inf]
+
+
+def _confirm(G: StateSpace, kept: Margin) -> None:
+    """Raise NumericalError unless the loop is stable for gains and phases inside the margins."""
+    up, down = min(kept.gain_up, ANY), max(kept.gain_down, 1 / ANY)
+    for part in INSIDE:
+        for factor in (up**part, down**part, np.exp(1j * part * kept.phase), np.exp(-1j * part * kept.phase)):
+            if not _stable_with(G, factor):
+                raise NumericalError(
+                    f"the margins read at the crossings are gains from {kept.gain_down:.4g} to {kept.gain_up:.4g} and "
+                    f"{kept.phase_deg:.4g} deg, but the loop is unstable with a factor of {factor:.4g}: rounding hides "
+                    "a crossing; bring the states of the loop to better units, or leave out what it hardly shows"
+                )
+
+
+def _stable_with(L: StateSpace, factor: complex) -> bool:
+    """Whether the loop, times a factor, is stable when it is closed."""
+    direct = 1 + factor * L.D[0, 0]
+    if direct == 0:
+        return False
+    poles = np.linalg.eigvals(L.A - (factor / direct) * L.B @ L.C) if L.n else np.zeros(0)
+    return bool(np.abs(poles).max(initial=0.0) < 1 if L.discrete else poles.real.max(initial=-1.0) < 0)
 
 
 def _samples_borne(G: StateSpace, most: float) -> float:
@@ -154,30 +228,6 @@ def _samples_borne(G: StateSpace, most: float) -> float:
     while count < most and _closed_loop_stable(G):
         G, count = delayed(G), count + 1
     return min(count, most)
-
-
-def diskmargin(L: Any, sign: int = -1) -> DiskMargin:
-    """Disk margin with skew 0 of a square loop, all of its channels at once.
-
-    Parameters
-    ----------
-    L : (m x m) loop transfer matrix, in any form that `system` takes
-    sign : -1 for negative feedback (default), +1 for positive
-
-    Raises
-    ------
-    ModelError : L is not square, or `sign` is neither -1 nor 1.
-
-    Reference: Seiler, Packard and Gahinet (2020), IEEE Control Systems 40(5), 78, theorem 1.
-    """
-    G = _negative(L, sign)
-    if G.ny != G.nu:
-        raise ModelError(f"L is {G.ny} x {G.nu}; a loop has as many outputs as inputs")
-    if not _closed_loop_stable(G):
-        return DiskMargin(0.0, np.nan)
-    T = feedback(G, StateSpace.gain(np.eye(G.nu), G.dt))
-    norm, frequency = hinfnorm(StateSpace(T.A, T.B, -2 * T.C, np.eye(G.nu) - 2 * T.D, T.dt))  # S - T = I - 2 T
-    return DiskMargin(2 / norm, frequency)
 
 
 def margins(P: Any, K: Any, sign: int = -1) -> Margins:
@@ -194,15 +244,26 @@ def margins(P: Any, K: Any, sign: int = -1) -> Margins:
     """
     P, K = as_systems(P=P, K=K)
     check_loop("P", P, "K", K)
-    at_input, at_output = _negative(series(P, K), sign), _negative(series(K, P), sign)
+    loops = Loops(negative(series(P, K), sign), negative(series(K, P), sign), _both(P, K, sign))
     return Margins(
-        input=tuple(margin(one_loop(at_input, i)) for i in range(P.nu)),
-        output=tuple(margin(one_loop(at_output, i)) for i in range(P.ny)),
-        disk_input=diskmargin(at_input),
-        disk_output=diskmargin(at_output),
+        input=tuple(margin(one_loop(loops.input, i)) for i in range(P.nu)),
+        output=tuple(margin(one_loop(loops.output, i)) for i in range(P.ny)),
+        disk_input=diskmargin(loops.input),
+        disk_output=diskmargin(loops.output),
         ncf=ncfmargin(P, K, sign),
         dt=P.dt,
+        loops=loops,
     )
+
+
+def _both(P: StateSpace, K: StateSpace, sign: int) -> StateSpace:
+    """The loop cut at inputs and outputs at once: [u; y] = -[[0, -sign K], [-P, 0]] [u; y]."""
+    m, p, n = P.nu, P.ny, P.n + K.n
+    A, B, C = np.zeros((n, n)), np.zeros((n, m + p)), np.zeros((m + p, n))
+    A[: P.n, : P.n], A[P.n :, P.n :] = P.A, K.A
+    B[: P.n, :m], B[P.n :, m:] = P.B, K.B
+    C[m:, : P.n], C[:m, P.n :] = -P.C, -sign * K.C
+    return StateSpace(A, B, C, np.block([[np.zeros((m, m)), -sign * K.D], [-P.D, np.zeros((p, p))]]), P.dt)
 
 
 def one_loop(L: StateSpace, i: int) -> StateSpace:
@@ -214,105 +275,5 @@ def one_loop(L: StateSpace, i: int) -> StateSpace:
     return lft(ordered, StateSpace.gain(-np.eye(L.nu - 1), L.dt), L.nu - 1, L.nu - 1)
 
 
-def _negative(L: Any, sign: int) -> StateSpace:
-    """The loop for negative feedback."""
-    L = as_system("L", L)
-    return L if as_sign(sign) == -1 else -L
-
-
 def _closed_loop_stable(L: StateSpace) -> bool:
     return is_stable(feedback(L, StateSpace.gain(np.eye(L.nu), L.dt)))
-
-
-def _on_circle(L: StateSpace) -> tuple[StateSpace, Response, Callable[[float], float]]:
-    """The loop in discrete time, balanced; its response by angle, of the given system itself; angle to rad/s."""
-    given = balance(L)
-    if L.discrete:
-        return given, lambda angle: _response(given, np.exp(1j * angle)), lambda angle: angle / L.dt
-    rate = loop_rate(given)
-
-    def to_frequency(angle: float) -> float:
-        return np.inf if angle >= np.pi else rate * np.tan(angle / 2)
-
-    def response(angle: float) -> complex:
-        return complex(L.D[0, 0]) if angle >= np.pi else _response(given, 1j * to_frequency(angle))
-
-    return balance(cayley(given, rate)), response, to_frequency
-
-
-def _response(L: StateSpace, s: complex) -> complex:
-    """L at s or z; a pole there is a gain without bound."""
-    try:
-        return complex((L.C @ np.linalg.solve(s * np.eye(L.n) - L.A, L.B) + L.D)[0, 0])
-    except np.linalg.LinAlgError:
-        return complex(np.inf)
-
-
-def _gain_margins(L: StateSpace, response: Response) -> tuple[float, float, float]:
-    """Largest and smallest gain around one, and the angle of the nearer in decibels."""
-    found = []
-    for angle in _real_crossings(L, response):
-        value = response(angle)
-        if np.isfinite(value) and value.real < 0 and abs(value.imag) <= REAL * abs(value):
-            found.append((-1 / value.real, angle))
-    ups, downs = [f for f in found if 1 < f[0] < 1 / NEGLIGIBLE], [f for f in found if NEGLIGIBLE < f[0] < 1]
-    up, down = min(ups, default=(np.inf, np.nan)), max(downs, default=(0.0, np.nan))
-    nearer = min((f for f in (up, down) if np.isfinite(f[1])), key=lambda f: abs(np.log(f[0])), default=(1.0, np.nan))
-    return float(up[0]), float(down[0]), float(nearer[1])
-
-
-def _real_crossings(L: StateSpace, response: Response) -> list[float]:
-    """Angles at which L is real: 0, pi, and the unit zeros of L - L~."""
-    O = np.zeros
-    M = np.block([
-        [L.A, O((L.n, L.n)), L.B],
-        [O((L.n, L.n)), -np.eye(L.n), L.C.T],
-        [L.C, O((1, L.n)), L.D - L.D.T],
-    ])  # fmt: skip
-    N = np.block([
-        [np.eye(L.n), O((L.n, L.n + 1))],
-        [O((L.n, L.n)), -L.A.T, O((L.n, 1))],
-        [O((1, L.n)), L.B.T, O((1, 1))],
-    ])  # fmt: skip
-    return [0.0, np.pi, *_polished(_unit_angles(M, N), lambda angle: response(angle).imag)]
-
-
-def _unit_crossings(L: StateSpace, response: Response) -> list[float]:
-    """Angles at which |L| is one."""
-    n, m = L.n, 1
-    M = np.block([
-        [L.A, np.zeros((n, n)), L.B],
-        [L.C.T @ L.C, -np.eye(n), L.C.T @ L.D],
-        [L.D.T @ L.C, np.zeros((m, n)), L.D.T @ L.D - np.eye(m)],
-    ])  # fmt: skip
-    N = np.block([
-        [np.eye(n), np.zeros((n, n + m))],
-        [np.zeros((n, n)), -L.A.T, np.zeros((n, m))],
-        [np.zeros((m, n)), -L.B.T, np.zeros((m, m))],
-    ])  # fmt: skip
-    angles = [0.0, np.pi, *_polished(_unit_angles(M, N), lambda angle: abs(response(angle)) - 1)]
-    return [angle for angle in angles if abs(abs(response(angle)) - 1) <= UNIT]
-
-
-def _unit_angles(M: np.ndarray, N: np.ndarray) -> np.ndarray:
-    """Angles from 0 to pi of the eigenvalues of M - lambda N near the unit circle."""
-    alpha, beta = np.asarray(sla.eigvals(M, N, homogeneous_eigvals=True))
-    near = (np.abs(np.abs(alpha) - np.abs(beta)) <= NEAR_CIRCLE * np.abs(beta)) & (beta != 0)  # 0/0: of no frequency
-    return np.unique(np.abs(np.angle(alpha[near] / beta[near])))
-
-
-def _polished(angles: np.ndarray, function: Any) -> list[float]:
-    """Zeros of a function near the angles: bracketed where it changes sign, as they are where it does not."""
-    from scipy.optimize import root_scalar  # a fifth of a second, which no design needs
-
-    found = []
-    for angle in angles:
-        width = 1e-6 * max(angle, 1e-6)
-        while width < 1e-2 * max(angle, 1e-4):
-            low, high = max(angle - width, 0.0), min(angle + width, np.pi)
-            if function(low) * function(high) < 0:
-                angle = root_scalar(function, bracket=(low, high), xtol=1e-15).root
-                break
-            width *= 10
-        found.append(float(angle))
-    return found

@@ -7,9 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from literature import cubesat_model
 
+from synth.analysis.diskmargins import diskmargin
 from synth.analysis.gap import gapmetric
 from synth.analysis.norms import is_stable
-from synth.analysis.stabilitymargins import diskmargin, margin, margins
+from synth.analysis.stabilitymargins import margin, margins
 from synth.errors import ModelError
 from synth.regulators.controller import proportional_derivative
 from synth.systems.connect import delayed, feedback
