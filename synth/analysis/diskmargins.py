@@ -114,7 +114,7 @@ def diskmargin(L: Any, sign: int = -1, *, skew: float = 0.0) -> DiskMargin:
     delta = destabilising(M)
     with np.errstate(divide="ignore", invalid="ignore"):
         factors = (2 + (1 - skew) * delta) / (2 - (1 + skew) * delta)
-    return DiskMargin(1 / max(mu, given), frequency, skew, factors)
+    return DiskMargin(1 / given, frequency, skew, factors)
 
 
 def diskmargin_at(L: Any, omega: Any, sign: int = -1, *, skew: float = 0.0) -> np.ndarray:

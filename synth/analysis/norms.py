@@ -269,7 +269,7 @@ def _peak(G: StateSpace, tol: float) -> tuple[float, float, bool]:
         middles = np.concatenate([(ends[1:] + ends[:-1]) / 2, ends])
         values = [gain(t) for t in middles]
         if not values or max(values) <= level * (1 + tol):
-            return *_ascend(gain, float(level), float(angle)), False
+            return *ascend(gain, float(level), float(angle)), False
         best = int(np.argmax(values))
         level, angle = values[best], float(middles[best])
     raise NumericalError("the level-set iteration for the H-infinity norm did not end in 60 steps")
@@ -284,7 +284,7 @@ def _highest(gain: Gain, angles: np.ndarray, values: np.ndarray) -> tuple[float,
     return max(climb(gain, angles[max(i - 1, 0)], angles[min(i + 1, last)]) for i in tops)
 
 
-def _ascend(gain: Gain, level: float, angle: float) -> tuple[float, float]:
+def ascend(gain: Gain, level: float, angle: float) -> tuple[float, float]:
     """The local maximum that is reached uphill from a point, in ever wider steps."""
     width = max(1e-4 * angle, 1e-9)
     while width < np.pi:

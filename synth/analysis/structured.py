@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from synth.analysis.norms import TOLERANCE, Gain, Transfer, balance, climb, crossings, transfer
+from synth.analysis.norms import TOLERANCE, Gain, Transfer, ascend, balance, climb, crossings, transfer
 from synth.errors import NumericalError
 from synth.systems.statespace import StateSpace
 
@@ -36,6 +36,7 @@ SWEEPS = 60  # of balancing
 UNCOUPLED = 1e-10  # relative size of a coupling that is none
 SCALINGS = 400  # at most, to cover the circle
 SHARP = 1e-5  # of an interval of angles: where a maximum is climbed again if it is lower at the ends
+BESIDE = 1e-7  # of an angle
 NARROW = 1e-9  # relative width of an interval of angles that is one frequency to rounding
 POWERS = 200  # steps of a power iteration
 STARTS = 8  # of it
@@ -156,7 +157,7 @@ def structured_norm(H: StateSpace) -> Peak:
         D = best_scaling(response(at)).D
         open_ends = _left(H, D, level * (1 + TOLERANCE), open_ends)
         if not open_ends:
-            return Peak(level, angle)
+            return _summit(mu, level, angle)
         low, high = max(open_ends, key=lambda ends: ends[1] - ends[0])
         at = (low + high) / 2 if low > 0.1 * high else 0.3 * high
         if (found := mu(at)) > level * (1 + TOLERANCE):
@@ -185,6 +186,13 @@ def _top(mu: Gain, low: float, high: float) -> tuple[float, float]:
     width = SHARP * (high - low)
     ends = max(at - width, 0.0), min(at + width, np.pi)
     return max((top, at), climb(mu, *ends)) if min(map(mu, ends)) < top * (1 - EXACT) else (top, at)
+
+
+def _summit(mu: Gain, level: float, angle: float) -> Peak:
+    """The point itself, or the maximum uphill of it."""
+    if max(mu(angle * (1 - BESIDE)), mu(min(angle * (1 + BESIDE), np.pi))) > level * (1 + ROUNDED):
+        level, angle = ascend(mu, level, angle)
+    return Peak(level, angle)
 
 
 def _left(

@@ -99,7 +99,7 @@ def lft(P: Any, K: Any, nmeas: int | None = None, ncon: int | None = None) -> St
     C1, C2 = P.C[:pz], P.C[pz:]
     D11, D12, D21, D22 = P.D[:pz, :mw], P.D[:pz, mw:], P.D[pz:, :mw], P.D[pz:, mw:]
     E = np.eye(ncon) - K.D @ D22
-    if is_singular(E, 1 + np.linalg.norm(K.D @ D22, 2)):
+    if is_singular(E, np.eye(ncon) + np.abs(K.D) @ np.abs(D22)):
         raise ModelError("the loop is not well posed: I - Dk D22 is singular; perturb D22 or the controller's D")
     # u = E^-1 (Ck xk + Dk C2 x + Dk D21 w), y = C2 x + D21 w + D22 u
     U = np.linalg.solve(E, np.hstack([K.D @ C2, K.C, K.D @ D21]))

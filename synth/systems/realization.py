@@ -26,6 +26,7 @@ ROUNDING = 1e-15  # of a coefficient beside the largest
 POINTS = 60  # frequencies of the comparison
 AT_ORIGIN = 1e-12  # relative size below which a pole is an integrator, for the gain at rest
 DECADES = 2.0  # of the grid beyond the slowest and the fastest root
+SINGULAR = 1e14  # condition of a singular matrix
 
 
 class Matrices(NamedTuple):
@@ -125,9 +126,18 @@ def fraction(G: Matrices) -> tuple[np.ndarray, np.ndarray]:
     return np.where(np.abs(num) > size, num, 0.0) + D[0, 0] * den, den
 
 
-def is_singular(M: np.ndarray, size: float | np.floating) -> bool:
-    """Singular to working precision, for a matrix that is the difference of matrices of norm `size`."""
-    return bool(np.linalg.svd(M, compute_uv=False).min(initial=np.inf) <= 1e-14 * size)
+def is_singular(M: np.ndarray, summed: np.ndarray | None = None) -> bool:
+    """Singular to working precision, whatever the units of rows and columns.
+
+    `summed` holds the sums of moduli that the entries of M were summed from; those of M itself when left out.
+
+    Reference: Bauer (1966), Numerische Mathematik 8, 157, on the condition of a matrix under the best scaling.
+    """
+    try:
+        effect = np.abs(np.linalg.inv(M)) @ (np.abs(M) if summed is None else summed)
+    except np.linalg.LinAlgError:
+        return True
+    return not (np.isfinite(effect).all() and np.abs(np.linalg.eigvals(effect)).max(initial=0.0) < SINGULAR)
 
 
 def balanced(G: Matrices) -> Matrices:

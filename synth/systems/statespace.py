@@ -186,7 +186,7 @@ class StateSpace:
         ------
         ModelError : D is not square and invertible, so that the inverse would be improper.
         """
-        if self.ny != self.nu or is_singular(self.D, np.linalg.norm(self.D, 2)):
+        if self.ny != self.nu or is_singular(self.D):
             raise ModelError(
                 f"the inverse of a {self.ny} x {self.nu} system with D = {shown(self.D.tolist())} is improper; a "
                 "system has an inverse when D is square and invertible"
@@ -202,7 +202,7 @@ class StateSpace:
         K = -K if sign == -1 else K
         check_loop("G", self, "K", K)
         E = np.eye(self.nu) - K.D @ self.D
-        if is_singular(E, 1 + np.linalg.norm(K.D @ self.D, 2)):
+        if is_singular(E, np.eye(self.nu) + np.abs(K.D) @ np.abs(self.D)):
             raise ModelError("the loop is not well posed: I - Dk D is singular; perturb one of the direct terms")
         # v = u + K y = E^-1 (u + Ck xk + Dk C x)
         V = np.linalg.solve(E, np.hstack([K.D @ self.C, K.C, np.eye(self.nu)]))
@@ -274,7 +274,7 @@ class StateSpace:
         """G(-s)' in continuous, G(1/z)' in discrete time, the conjugate transpose on the stability boundary."""
         if not self.discrete:
             return StateSpace(-self.A.T, -self.C.T, self.B.T, self.D.T, 0.0)
-        if self.n and is_singular(self.A, np.linalg.norm(self.A, 2)):
+        if self.n and is_singular(self.A):
             raise ModelError("~G has poles at infinity where G has poles at z = 0 (pure delays); it is improper")
         Ait = np.linalg.inv(self.A).T
         return StateSpace(Ait, Ait @ self.C.T, -self.B.T @ Ait, self.D.T - self.B.T @ Ait @ self.C.T, self.dt)
