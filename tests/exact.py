@@ -20,7 +20,7 @@ def numbered(frequencies: Iterable, values: Iterable, name: str) -> dict[str, fl
     return {key: x for k, (w, value) in enumerate(found) for key, x in ((f"{name} {k}", value), (f"{name} {k} at", w))}
 
 
-def exact_margins(num, den) -> dict[str, float]:
+def exact_margins(num, den, skews: Iterable[int] = SKEWS) -> dict[str, float]:
     """Of num / den in s: every crossing, and margins if the closed loop is stable; angles in degrees."""
     before, ctx.prec = ctx.prec, BITS
     try:
@@ -41,7 +41,7 @@ def exact_margins(num, den) -> dict[str, float]:
             out |= _margins(real, gains, unit, phases)
             if D.degree() == N.degree() and abs(N.coeffs()[-1] / D.coeffs()[-1]) > 1:
                 out["delay"] = 0.0  # L stays above one, and a short delay turns it to -1 at a high frequency
-            for skew in SKEWS:
+            for skew in skews:
                 value, frequency = _peak(D + (skew - 1) * (N + D) / 2, N + D)
                 out |= {f"alpha {skew}": 1 / value, f"at {skew}": frequency}
         return out

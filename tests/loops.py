@@ -8,16 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from fractions import Fraction
 
 import numpy as np
-from flint import acb, arb, ctx, fmpq, fmpq_poly
+from exact import exact_margins
 
 from synth import StateSpace, feedback, system
 from synth.analysis.norms import is_stable
-
-BITS = 400
-REAL = 1e-60  # relative, of the imaginary part of a root that is real
 
 
 @dataclass(frozen=True)
@@ -131,57 +127,7 @@ class Exact:
 
 def exact_margin(loop: Loop) -> Exact | None:
     """Margins from roots of rational polynomials; None for a loop that is unstable when closed."""
-    before, ctx.prec = ctx.prec, BITS
-    try:
-        N, D = _polynomial(loop.num), _polynomial(loop.den)
-        if any(not root.real < 0 for root, _ in (N + D).complex_roots()):
-            return None
-        (a, b), (c, d) = _on_axis(N), _on_axis(D)
-
-        def L(w: arb) -> acb:
-            return _value(N, w) / _value(D, w)
-
-        lags = [(float((-L(w)).arg().mid()), float(w.mid())) for w in _positive(a * a + b * b - c * c - d * d)]
-        values = [float(L(w).real.mid()) for w in _positive(b * c - a * d)]
-        if D.coeffs()[0] != 0:
-            values.append(loop.num[-1] / loop.den[-1])
-        gains = [-1 / value for value in values if value < 0]
-        return Exact(
-            min((g for g in gains if g > 1), default=np.inf),
-            max((g for g in gains if g < 1), default=0.0),
-            min((abs(phi) for phi, _ in lags), default=np.pi),
-            min((phi % (2 * np.pi) / w for phi, w in lags), default=np.inf),
-        )
-    finally:
-        ctx.prec = before
-
-
-def _polynomial(coefficients: np.ndarray) -> fmpq_poly:
-    """From doubles, highest power first, exactly."""
-    ratios = [Fraction(float(x)) for x in coefficients[::-1]]
-    return fmpq_poly([fmpq(x.numerator, x.denominator) for x in ratios])
-
-
-def _on_axis(p: fmpq_poly) -> tuple[fmpq_poly, fmpq_poly]:
-    """Real and imaginary part of p(j w), polynomials in w."""
-    c = p.coeffs()
-    return (
-        fmpq_poly([x * (1, 0, -1, 0)[k % 4] for k, x in enumerate(c)]),
-        fmpq_poly([x * (0, 1, 0, -1)[k % 4] for k, x in enumerate(c)]),
-    )
-
-
-def _positive(p: fmpq_poly) -> list[arb]:
-    """Its positive real roots."""
-    if p.degree() < 1:
-        return []
-    roots = [root for root, _ in p.complex_roots()]
-    return [r.real for r in roots if r.real > 0 and float(abs(r.imag).upper()) < REAL * float(abs(r).upper())]
-
-
-def _value(p: fmpq_poly, w: arb) -> acb:
-    """p(j w)."""
-    out, s = acb(0), acb(0, w)
-    for x in p.coeffs()[::-1]:
-        out = out * s + acb(arb(x))
-    return out
+    found = exact_margins(loop.num, loop.den, skews=())
+    if "phase" not in found:
+        return None
+    return Exact(found["gain up"], found["gain down"], float(np.deg2rad(found["phase"])), found["delay"])
