@@ -29,6 +29,7 @@ from synth.systems.sampled import cayley, pole_rate
 from synth.systems.statespace import StateSpace, as_system
 
 HUGE = 1e100  # size of a disk that holds whatever one will
+ROUNDED = 1e-12  # relative: an end of the frequencies that is as high as the peak is the peak
 AGREES = 1e-3  # relative difference of mu on the mapped loop and on the given one that is accepted
 
 
@@ -102,6 +103,9 @@ def diskmargin(L: Any, sign: int = -1, *, skew: float = 0.0) -> DiskMargin:
         peak = structured_norm(H if H.discrete else cayley(H, rate))
         mu = peak.value
         frequency = peak.angle / H.dt if H.discrete else float(rate * np.tan(peak.angle / 2))
+    for end in (0.0, np.pi / H.dt if H.discrete else np.inf):
+        if best_scaling(_at(H, end)).norm >= mu * (1 - ROUNDED):
+            frequency = end
     if mu == 0:
         return DiskMargin(np.inf, frequency, skew, np.full(G.nu, np.nan, complex))
     M = _at(H, frequency)

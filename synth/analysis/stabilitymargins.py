@@ -141,7 +141,7 @@ def margin(L: Any, sign: int = -1) -> Margin:
     if not _closed_loop_stable(G):
         return Margin(1.0, 1.0, 0.0, 0.0, np.nan, np.nan, np.nan)
     found = find(G)
-    gains = [g for g in _gains(found) if NEGLIGIBLE < g[0] < 1 / NEGLIGIBLE]
+    gains = _gains(found)
     up, down = min((g for g in gains if g[0] > 1), default=None), max((g for g in gains if g[0] < 1), default=None)
     nearer = min((g for g in (up, down) if g), key=lambda g: abs(np.log(g[0])), default=(1.0, np.nan))
     phase, at_phase = min(((abs(phi), w) for phi, w in _phases(found)), default=(np.pi, np.nan))
@@ -169,10 +169,7 @@ def allmargin(L: Any, sign: int = -1) -> AllMargins:
     """
     G = _one_signal(L, sign)
     found = find(G)
-    columns = (
-        np.array(pairs).reshape(-1, 2).T
-        for pairs in ([g for g in _gains(found) if g[0] > NEGLIGIBLE], _phases(found), _lags(found))
-    )
+    columns = (np.array(pairs).reshape(-1, 2).T for pairs in (_gains(found), _phases(found), _lags(found)))
     return AllMargins(_closed_loop_stable(G), *(column for pair in columns for column in pair))
 
 
@@ -186,7 +183,7 @@ def _one_signal(L: Any, sign: int) -> StateSpace:
 
 def _gains(found: Crossings) -> list[tuple[float, float]]:
     """Factors that bring L to -1, with their frequencies."""
-    return [(-1 / c.value.real, c.frequency) for c in found.real if c.value.real < 0]
+    return [(-1 / c.value.real, c.frequency) for c in found.real if NEGLIGIBLE < -c.value.real < 1 / NEGLIGIBLE]
 
 
 def _phases(found: Crossings) -> list[tuple[float, float]]:

@@ -8,7 +8,8 @@ W at the centre proves how much lower t can be, since no t is below min_i (M W M
 
 Over all frequencies nothing is gridded. A scaling D that is best at one frequency proves a level wherever
 sigma_max(D M D^-1) is below it, and the ends of these intervals are unit eigenvalues of a pencil (`norms`). Scalings
-are added until their intervals cover the circle, or one of them finds a higher level.
+are added until their intervals cover the circle, or one of them finds a higher level. Where constant ones prove little,
+sections of first order follow the best ones.
 
 References: Doyle (1982), IEE Proceedings D 129, 242 (mu, and the bound by scalings); Packard and Doyle (1993),
 Automatica 29, 71 (power iteration); Boyd and El Ghaoui (1993), Linear Algebra and its Applications 188, 63
@@ -24,6 +25,8 @@ import numpy as np
 
 from synth.analysis.norms import TOLERANCE, Gain, Transfer, ascend, balance, climb, crossings, transfer
 from synth.errors import NumericalError
+from synth.systems.connect import series
+from synth.systems.sampled import cayley
 from synth.systems.statespace import StateSpace
 
 EXACT = 1e-10  # relative distance of the scaled norm from its lower bound at which a scaling is best
@@ -37,6 +40,9 @@ UNCOUPLED = 1e-10  # relative size of a coupling that is none
 SCALINGS = 400  # at most, to cover the circle
 SHARP = 1e-5  # of an interval of angles: where a maximum is climbed again if it is lower at the ends
 BESIDE = 1e-7  # of an angle
+LITTLE = 1e-2  # of an angle: how far a scaling should prove a level
+STEP = 1e-3  # of an angle: over which scalings are seen to change
+STEEPEST = 0.99  # slope of a section of first order
 NARROW = 1e-9  # relative width of an interval of angles that is one frequency to rounding
 POWERS = 200  # steps of a power iteration
 STARTS = 8  # of it
@@ -155,7 +161,10 @@ def structured_norm(H: StateSpace) -> Peak:
     at = angle
     for _ in range(SCALINGS):
         D = best_scaling(response(at)).D
-        open_ends = _left(H, D, level * (1 + TOLERANCE), open_ends)
+        open_ends = _left(_times(H, D), level * (1 + TOLERANCE), open_ends)
+        if any(low < at * (1 + LITTLE) and high > at * (1 - LITTLE) for low, high in open_ends):
+            slopes = np.log(D / best_scaling(response(at * (1 - STEP))).D) / STEP
+            open_ends = _left(_following(H, D, slopes - slopes.mean(), at), level * (1 + TOLERANCE), open_ends)
         if not open_ends:
             return _summit(mu, level, angle)
         low, high = max(open_ends, key=lambda ends: ends[1] - ends[0])
@@ -195,11 +204,9 @@ def _summit(mu: Gain, level: float, angle: float) -> Peak:
     return Peak(level, angle)
 
 
-def _left(
-    H: StateSpace, D: np.ndarray, level: float, intervals: list[tuple[float, float]]
-) -> list[tuple[float, float]]:
-    """What remains of intervals of angles where the scaling D does not prove the level."""
-    scaled = balance(StateSpace(H.A, H.B / D, D[:, None] * H.C, D[:, None] * H.D / D, H.dt))
+def _left(scaled: StateSpace, level: float, intervals: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """What remains of intervals of angles where the norm of a scaled system does not prove the level."""
+    scaled = balance(scaled)
     response, _ = transfer(scaled)
     ends = np.unique(np.concatenate([[0.0], crossings(scaled, level), [np.pi]]))
     left = []
@@ -210,8 +217,32 @@ def _left(
     return [(a, b) for a, b in left if b - a > NARROW * b]
 
 
+def _times(H: StateSpace, D: np.ndarray) -> StateSpace:
+    """D H D^-1."""
+    return StateSpace(H.A, H.B / D, D[:, None] * H.C, D[:, None] * H.D / D, H.dt)
+
+
+def _following(H: StateSpace, D: np.ndarray, slopes: np.ndarray, angle: float) -> StateSpace:
+    """D H D^-1 with scalings that change with frequency as the best ones do near an angle.
+
+    |(s + a)/(s + b)| with a = w / k, b = w k has the slope (k^2 - 1)/(k^2 + 1) at s = j w, in logarithms, and the
+    modulus 1/k. Where the largest singular value is a double one, constant scalings prove little beside their angle.
+    """
+    s = np.clip(slopes * 2 * np.tan(angle / 2) / (1 + np.tan(angle / 2) ** 2) / angle, -STEEPEST, STEEPEST)
+    k, w = np.sqrt((1 + s) / (1 - s)), np.tan(angle / 2)
+    a, b = w / k, w * k
+
+    def sections(zeros: np.ndarray, poles: np.ndarray, gains: np.ndarray) -> StateSpace:
+        lags = StateSpace(-np.diag(poles), np.eye(len(D)), np.diag(gains * (zeros - poles)), np.diag(gains))
+        return cayley(lags, 1.0, H.dt)
+
+    return series(series(sections(b, a, 1 / (D * k)), H), sections(a, b, D * k))
+
+
 def destabilising(M: np.ndarray) -> np.ndarray:
     """The smallest complex diagonal (m,) that was found with I - M diag(delta) singular: power iteration."""
+    if len(M) == 1:
+        return 1 / M[0]
     D = best_scaling(M).D
     N, m = M * D[:, None] / D, len(M)
     rng, best, delta = np.random.default_rng(0), 0.0, np.full(m, np.inf, complex)

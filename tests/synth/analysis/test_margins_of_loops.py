@@ -191,3 +191,18 @@ def test_independent_axes_have_the_margin_of_the_worst():
     C[1, :3] = 1e3 * a.C[0]  # the second measures the first as well
     assert diskmargin(StateSpace(A, B, C, np.zeros((2, 2)))).alpha == pytest.approx(worst, rel=1e-7)
     assert is_stable(feedback(alone, np.eye(2)))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_both_ends_of_a_loop_that_a_controller_decouples(seed):
+    """L = k/s I at either end, through an ill-conditioned plant: equal singular values need scalings that follow."""
+    rng = np.random.default_rng([seed, 5])
+    m = 2 + seed % 2
+    G = rng.normal(size=(m, m))
+    inverse, O = np.linalg.inv(G), np.zeros((m, m))
+    P, K = StateSpace(-np.eye(m) / 75, np.eye(m) / 75, G, O), StateSpace(O, np.eye(m), 0.7 * inverse, 52.5 * inverse)
+    found = margins(P, K)
+    assert found.disk == pytest.approx(2, rel=1e-7)
+    both = found.disk_both
+    assert 0 < both.alpha < 2 * (np.sqrt(2) - 1) + 1e-7  # that of a well-conditioned plant
+    assert abs(boundary(found.loops.both, both.factors)) == pytest.approx(both.frequency, rel=1e-4)

@@ -350,8 +350,6 @@ def test_loose_prints_are_bettered(source, name, text):
 
 
 CONTINUOUS = [source for source, case in CASES.items() if not case.dt + case.hold]
-INVENTED = pytest.mark.xfail(strict=True, reason="allmargin lists a gain of 1e15 where L only tends to -180 deg")
-BEYOND = {"python-control: type 3": [INVENTED], "MATLAB: Assessing Gain and Phase Margins": [INVENTED]}
 
 
 @pytest.mark.parametrize("source", CONTINUOUS)
@@ -362,7 +360,7 @@ def test_in_exact_arithmetic(source):
             assert found[name] == pytest.approx(value, rel=1e-8, abs=1e-12, nan_ok=True), name
 
 
-@pytest.mark.parametrize("source", [pytest.param(source, marks=BEYOND.get(source, [])) for source in CONTINUOUS])
+@pytest.mark.parametrize("source", CONTINUOUS)
 def test_no_crossing_is_invented(source):
     def names(numbers) -> set[str]:
         return {name for name in numbers if name.startswith(("gain", "phase")) and any(map(str.isdigit, name))}
