@@ -77,14 +77,16 @@ def make_parser() -> argparse.ArgumentParser:
     verify.add_argument("files", nargs="+", metavar="FILE", help="design (.json), or controller with --plant")
     verify.add_argument("--plant", metavar="FILE", help="generalised plant, or plain plant (its four-block norm)")
     verify.add_argument("--negative", action="store_true", help="with a plain --plant: the controller acts on r - y")
+    verify.add_argument("--level", type=float, metavar="X", help="norm promised; a design on its own plant knows it")
     verify.add_argument("--dt", type=float, help="sampling time in s of a continuous design")
     add_limits(verify)
     verify.add_argument("--antiwindup", action="store_true", help="with limits: conditioned loop-shaping controller")
     verify.add_argument("--overload", type=float, default=2.0, help="peak demand over the limits (default 2)")
     for option, unit in (
-        ("ratio", "norm over the designed level (default 1.01)"), ("delay-ratio", "... with one sample of delay"),
+        ("ratio", "norm over the level (default 1.01)"), ("delay-ratio", "... with one sample of delay"),
         ("gain-margin-db", "dB, one loop at a time"), ("phase-margin-deg", "degrees, one loop at a time"),
-        ("delay-margin-samples", "samples, one loop at a time"), ("disk-margin", "alpha"), ("ncf-margin", "0 to 1"),
+        ("delay-margin-samples", "samples, one loop at a time (default 1; 0 asks nothing)"),
+        ("disk-margin", "alpha, all loops at once (default 0.34; 0 asks nothing)"), ("ncf-margin", "0 to 1"),
     ):  # fmt: skip
         verify.add_argument(f"--{option}", type=float, metavar="X", help=f"require: {unit}")
 

@@ -97,7 +97,7 @@ def curve(ax: Any) -> np.ndarray:
 
 # function -> what it makes of one system at a timebase, as numbers that no coordinates change
 OF_A_SYSTEM: dict[str, Callable[[Any, float], Any]] = {
-    "accept": lambda G, dt: synth.accept(-0.3, synth.gang_of_four(G), dt=None if dt else 0.1).level,
+    "accept": lambda G, dt: synth.accept(-0.3, synth.gang_of_four(G), dt=None if dt else 0.1).conditions[0].norm,
     "allmargin": lambda G, dt: [*synth.allmargin(G).phase, *synth.allmargin(G).gain],
     "augw": lambda G, dt: response(synth.augw(G, 1.0, 0.1).system),
     "bode": lambda G, dt: curve(synth.bode(G, omega=OMEGA)[0]),
@@ -265,8 +265,8 @@ STRICT = synth.system([1.0], DEN)
 
 # function -> a call that works, by parameter
 RIGHT: dict[str, dict[str, Any]] = {
-    "accept": {"design": synth.system(-0.3), "plant": synth.gang_of_four(CONTINUOUS), "dt": 0.1, "umin": -1.0,
-               "umax": 1.0, "antiwindup": None, "overload": 2.0, "requirements": None},
+    "accept": {"design": synth.system(-0.3), "plant": synth.gang_of_four(CONTINUOUS), "level": None, "dt": 0.1,
+               "umin": -1.0, "umax": 1.0, "antiwindup": None, "overload": 2.0, "requirements": None},
     "augw": {"G": CONTINUOUS, "W1": 1.0, "W2": 0.1, "W3": 0.2},
     "c2d": {"G": CONTINUOUS, "dt": 0.1, "method": "zoh"},
     "care": {"A": Z, "B": I, "Q": I, "R": I},

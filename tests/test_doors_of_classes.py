@@ -53,7 +53,9 @@ RIGHT: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
         synth.SequentialController.of,
         {"source": SAMPLED, "dtype": "double", "umin": None, "umax": None, "antiwindup": None},
     ),
-    "Requirements": (synth.Requirements, {"ratio": 1.01, "delay_ratio": None, "gain_margin_db": 6.0}),
+    "Requirements": (
+        synth.Requirements, {"ratio": 1.01, "delay_ratio": None, "gain_margin_db": 6.0, "disk_margin": 0.34}
+    ),
     "Sdre.create": (
         synth.Sdre.create, {"model": synth.QuaternionModel.create(np.eye(3)), "dt": 0.1, "Q": None, "R": None}
     ),

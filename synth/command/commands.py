@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 import traceback
-from dataclasses import replace
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -164,10 +164,8 @@ def verify(options: argparse.Namespace) -> int:
     """`synth verify`."""
     from synth.delivery.acceptance import Acceptance, Requirements, accept
 
-    names = ("delay_ratio", "gain_margin_db", "phase_margin_deg", "delay_margin_samples", "disk_margin", "ncf_margin")
-    required = Requirements(**{name: getattr(options, name) for name in names})
-    if options.ratio is not None:
-        required = replace(required, ratio=options.ratio)
+    given = {f.name: getattr(options, f.name) for f in fields(Requirements)}
+    required = Requirements(**{name: value for name, value in given.items() if value is not None})
     plant = None if options.plant is None else plant_of(load(options.plant), options.plant, options.negative)
     if plant is None and options.negative:
         raise ModelError("--negative is about a plain --plant; give one")
@@ -181,8 +179,8 @@ def verify(options: argparse.Namespace) -> int:
         umin, umax = limits_of(options)
         try:
             found[file] = accept(
-                source_of(item), plant, dt=options.dt, umin=umin, umax=umax, antiwindup=gain_of(item, options),
-                overload=options.overload, requirements=required,
+                source_of(item), plant, level=options.level, dt=options.dt, umin=umin, umax=umax,
+                antiwindup=gain_of(item, options), overload=options.overload, requirements=required,
             )  # fmt: skip
         except SynthError as error:
             error.args = (f"{file}: {error}",)
@@ -235,7 +233,10 @@ def acceptance_data(found: Any) -> dict[str, Any]:
 
     conditions = [{**asdict(c), "verdict": c.verdict} for c in found.conditions]
     kept = None if found.margins is None else asdict(found.margins)
-    return {"passed": found.passed, "level": found.level, "dt": found.dt, "conditions": conditions, "margins": kept}
+    return {
+        "passed": found.passed, "verdict": found.verdict, "level": found.level, "dt": found.dt,
+        "conditions": conditions, "margins": kept,
+    }  # fmt: skip
 
 
 def acceptance_text(found: Any) -> str:
@@ -245,7 +246,8 @@ def acceptance_text(found: Any) -> str:
         stable = "-" if c.stable is None else "yes" if c.stable else "NO"
         rows.append([c.name, stable, number(c.norm), number(c.ratio), c.verdict, c.note])
     ending = "accepted" if found.passed else "NOT accepted"
-    return f"{table(rows)}\n{ending}; ratios to the level {found.level:.7g}, sampling time {found.dt:g} s"
+    level = "norm not judged: no level known" if found.level is None else f"ratios to the level {found.level:.7g}"
+    return f"{table(rows)}\n{ending}; {level}, sampling time {found.dt:g} s"
 
 
 def export(options: argparse.Namespace) -> int:

@@ -8,8 +8,9 @@
                       feedback = "negative" for a controller that acts on r - y
     [weights]         tracking: Wproc, Wdist, Werr, Wact, Wr; loop shaping: W1, W2, mixed sensitivity: W1, W2, W3
                       (matrices or tables A, B, C, D; num, den; zeros, poles, gain)
-    [specifications]  max_norm; the fields of `Requirements`; umin, umax, overload; antiwindup = true for the
-                      conditioned controller of a loop-shaping design; dt at which a continuous design is to run
+    [specifications]  max_norm; the fields of `Requirements` (a margin of 0 asks nothing); umin, umax, overload;
+                      antiwindup = true for the conditioned controller of a loop-shaping design; dt at which a
+                      continuous design is to run
 
 A matrix is a list of rows, {diag = [...]}, or a number, which stands for that multiple of the identity. Polynomials are
 lists of coefficients, highest power first; a complex zero or pole is a text, "-1+2j". The file is checked as a whole:
@@ -83,7 +84,7 @@ class Study:
         if self.max_norm is not None and design.verified_norm > self.max_norm:
             texts.append(f"the verified norm is {design.verified_norm:.7g}, above max_norm = {self.max_norm:.7g}")
         if accepted:
-            texts += [f"{c.name}: {c.note or 'failed'}" for c in accepted.conditions if not c.passed]
+            texts += [f"{c.name}: {c.note or 'failed'}" for c in accepted.failed]
         return texts
 
 
@@ -334,7 +335,11 @@ def _shaping_weight(weights: Table, key: str, size: int | None, plant: StateSpac
 
 def _specifications(table: Table, m: int | None) -> tuple[Requirements, dict[str, Any], float | None]:
     """What is asked of the design."""
-    required = {f.name: table.number(f.name, above=0) for f in fields(Requirements)}
+    ratios = ("ratio", "delay_ratio")
+    required = {
+        f.name: table.number(f.name, above=0) if f.name in ratios else table.number(f.name, least=0)
+        for f in fields(Requirements)
+    }
     gate = {
         "dt": table.number("dt", above=0),
         "overload": table.number("overload", above=1),

@@ -1,7 +1,8 @@
 """The acceptance gate: the controller as it leaves, measured again under what a processor and actuators do to it.
 
 Every condition closes the loop anew and measures it with the judge of `norms`; the norm is that of the plant's
-channels from w to z. Nothing is taken from the synthesis.
+channels from w to z. Nothing is taken from the synthesis but the level that was promised; where none is known, as of
+a bare controller, the norm is reported and "not judged", and the gate rests on stability, rounding and margins.
 
     designed              the controller as it is in the file
     zero-order hold       a continuous design: plant held, controller by Tustin's method, at the sampling time given
@@ -12,6 +13,13 @@ channels from w to z. Nothing is taken from the synthesis.
                           the limits at its peak; measurements and commands must come back below 1 % of their peaks
 
 Saturation is judged by these simulations alone: they refute a controller, and prove nothing about other starts.
+
+The margins asked by default are a sample of delay, without which the schedule of a processor decides on stability, and
+a disk of alpha = 0.34: gains from -3 to +3 dB and phases up to 19 deg at any time in every channel at once, half of the
+6 dB that a flight loop should bear in one channel. By theorem 1 of the reference a loop of one channel that has less
+has a peak of |S - T| above 5.9, and some gain and phase that small make it unstable.
+
+Reference: Seiler, Packard and Gahinet (2020), An Introduction to Disk Margins, IEEE Control Systems 40(5), 78.
 """
 
 from __future__ import annotations
@@ -22,9 +30,10 @@ from typing import Any
 
 import numpy as np
 
-from synth.analysis.norms import is_stable, spectral_radius, verify
+from synth.analysis.norms import is_stable, verify
 from synth.analysis.stabilitymargins import Margins, margins
 from synth.checks import as_number, shown
+from synth.delivery.simulation import RETURNED, horizon, short, simulate, starts
 from synth.errors import ExportError, ModelError, SynthError
 from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.sequential import SequentialController, controller_of
@@ -35,32 +44,31 @@ from synth.systems.sampled import c2d
 from synth.systems.statespace import StateSpace, as_system, common_timebase
 from synth.threads import one_thread
 
-RETURNED = 1e-2  # of the linear response's peak
-TIME_CONSTANTS = 20  # of the slowest pole of the linear loop, that a response is given to return
-LONGEST = 20_000  # samples of a simulation
 EXACT = 1.01  # ratio of the norm up to which it is called kept, as in `hinfsyn`
 UNSTABLE = "not simulated: the loop is unstable"
 DIRECT = "not simulated: the plant has a direct term D22, so that measurement and command would wait for each other"
 HELD = "part of the discrete plant as it was modelled: nothing to measure"
-COMMANDED = 1e-12  # a start whose commands stay below this part of the largest demands nothing
+NO_LEVEL = "no level is known; give one (level=) and the norm is judged"
 
 
 @dataclass(frozen=True)
 class Requirements:
-    """What is asked of a controller besides stability under every condition; None asks nothing."""
+    """What is asked of a controller besides stability under every condition; None, or a margin of 0, asks nothing."""
 
-    ratio: float = EXACT  # of the norm to the designed level, as designed and in float32
+    ratio: float = EXACT  # of the norm to the level, as designed; in float32 to the norm before rounding, too
     delay_ratio: float | None = None  # ... with one sample of delay
     gain_margin_db: float | None = None  # smallest of all loops, one at a time
     phase_margin_deg: float | None = None  # smallest of all loops, one at a time
-    delay_margin_samples: float | None = None  # smallest of all loops, one at a time
-    disk_margin: float | None = None  # smaller alpha of plant input and output
+    delay_margin_samples: float | None = 1.0  # smallest of all loops, one at a time
+    disk_margin: float | None = 0.34  # smaller alpha of plant input and output; see the head of this file
     ncf_margin: float | None = None
 
     def __post_init__(self):
         for name, value in vars(self).items():
-            if value is not None:
-                as_number(name, value, "a positive number, or None for nothing", above=0)
+            if name == "ratio" or (value is not None and name == "delay_ratio"):
+                as_number(name, value, "a positive number", above=0)
+            elif value is not None:
+                as_number(name, value, "a number of at least 0, or None for nothing", least=0)
 
 
 @dataclass(frozen=True)
@@ -68,16 +76,18 @@ class Condition:
     """One line of the gate's table."""
 
     name: str
-    passed: bool
+    passed: bool | None  # None: not judged
     stable: bool | None = None  # None where it does not apply
     norm: float | None = None  # from w to z, units of the plant
-    ratio: float | None = None  # of the norm to the designed level
+    ratio: float | None = None  # of the norm to the level, if one is known
     note: str = ""
     required: bool = True  # False for what is only reported
 
     @property
     def verdict(self) -> str:
         """In one word."""
+        if self.passed is None:
+            return "not judged"
         return ("pass" if self.required else "-") if self.passed else "FAIL"
 
 
@@ -87,20 +97,31 @@ class Acceptance:
 
     conditions: tuple[Condition, ...]
     margins: Margins | None  # None for a loop that is unstable or cannot be judged
-    level: float  # the level that the ratios refer to: gamma of the design
+    level: float | None  # the level that the ratios refer to: the one given, or gamma of the design; None: unknown
     dt: float  # s, sampling time of the loop that was measured
     controller_sha256: str  # of the controller that was put in
 
     @property
     def passed(self) -> bool:
-        """Whether every condition is met."""
-        return all(c.passed for c in self.conditions)
+        """Whether every condition that could be judged is met."""
+        return not self.failed
+
+    @property
+    def failed(self) -> tuple[Condition, ...]:
+        """The conditions that are not met."""
+        return tuple(c for c in self.conditions if c.passed is not None and not c.passed)
+
+    @property
+    def not_judged(self) -> tuple[Condition, ...]:
+        """The conditions that nothing can be said about, for want of a level."""
+        return tuple(c for c in self.conditions if c.passed is None)
 
     @property
     def verdict(self) -> str:
         """In one line, for the files of the controller."""
-        failed = ", ".join(c.name for c in self.conditions if not c.passed)
-        return f"{f'NOT accepted ({failed})' if failed else 'accepted'} at a sampling time of {self.dt:g} s"
+        failed, unknown = (", ".join(c.name for c in lines) for lines in (self.failed, self.not_judged))
+        text = f"{f'NOT accepted ({failed})' if failed else 'accepted'} at a sampling time of {self.dt:g} s"
+        return text + (f"; not judged, no level known: {unknown}" if unknown else "")
 
 
 @one_thread
@@ -108,6 +129,7 @@ def accept(
     design: Any,
     plant: Any = None,
     *,
+    level: float | None = None,
     dt: float | None = None,
     umin: Any = None,
     umax: Any = None,
@@ -123,6 +145,8 @@ def accept(
         an `AntiWindup` with the limits and the gain that it has
     plant : GeneralizedPlant to measure it on; None for the design's own. On a loop-shaping design's own plant W2 G W1
         it is Ks that is measured, since the file does not hold G; with a plant it is W1 Ks W2
+    level : the norm that was promised on this plant; None for gamma of a design on its own plant, and for none
+        otherwise: then no line that compares with it is judged
     dt : sampling time in s of a continuous design, which is needed: conditions of a processor are those of samples
     umin, umax : number or (m,) limits of the commands; None leaves saturation out
     antiwindup : (n, m) gain of the exported controller, see `export`
@@ -142,7 +166,8 @@ def accept(
         if not (umin is None and umax is None and antiwindup is None):
             raise ModelError("umin, umax or antiwindup is given, but an AntiWindup has its own; leave them away")
         umin, umax, antiwindup = design.umin, design.umax, design.L
-    P, K, level = _loop(design, plant)
+    P, K, gamma = _loop(design, plant)
+    level = gamma if level is None else as_number("level", level, "the norm that was promised, or None", above=0)
     overload = as_number("overload", overload, "a number above 1, or the commands would not saturate", above=1)
     if not isinstance(requirements, Requirements):
         raise ModelError(f"requirements is {shown(requirements)}; pass Requirements(...), or None for the defaults")
@@ -152,8 +177,7 @@ def accept(
             "only; pass the plant (gang_of_four(G)) as well"
         )
     first = _measured("designed", P, K, level, requirements.ratio)
-    level = level or first.norm or np.inf
-    lines = [replace(first, ratio=first.norm / level if first.norm is not None else None)]
+    lines = [first]
     if P.dt == 0:
         if dt is None:
             raise ModelError("the design is continuous; pass dt, the sampling time in s at which it will run")
@@ -162,10 +186,10 @@ def accept(
     else:
         if dt is not None and not np.isclose(dt, P.dt):
             raise ModelError(f"dt = {dt:g} s is given, but the design has one of {P.dt:g} s; leave dt away")
-        lines.append(Condition("zero-order hold", first.passed, note=HELD, required=False))
-    held = lines[-1].ratio or 1.0  # rounding is judged against what holding left of the level
+        lines.append(Condition("zero-order hold", first.passed is not False, note=HELD, required=False))
+    held = next((c.norm for c in reversed(lines) if c.norm is not None), None)
     lines.append(_measured("one sample of delay", P, delayed(K), level, requirements.delay_ratio))
-    lines += _single_precision(P, K, level, requirements.ratio * max(held, 1.0))
+    lines += _single_precision(P, K, level, held, requirements.ratio)
     if umin is not None or umax is not None:
         lines.append(_saturation(P, K, umin, umax, antiwindup, overload))
     found, reason = None, "the loop is unstable"
@@ -217,20 +241,31 @@ def _measured(
         norm = verify(closed_loop).norm
     except SynthError as error:
         return Condition(name, False, stable, note=str(error))
-    ratio = None if level is None else norm / level if level > 0 else 1.0
-    kept = limit is None or ratio is None or ratio <= limit
-    return Condition(name, kept, True, norm, ratio, note if kept else f"at most {limit:g} is required")
+    ratio = None if level is None else _over(norm, level)
+    if limit is None or (ratio is not None and ratio <= limit):
+        return Condition(name, True, True, norm, ratio, note)
+    if ratio is None:
+        return Condition(name, None, True, norm, note=NO_LEVEL)
+    return Condition(name, False, True, norm, ratio, f"at most {limit:g} is required")
 
 
-def _single_precision(P, K, level, limit) -> Iterator[Condition]:
-    """Rounded coefficients, then rounded arithmetic."""
+def _over(norm: float, level: float) -> float:
+    """Their ratio, one where both are zero."""
+    return norm / level if level > 0 else np.inf if norm > 0 else 1.0
+
+
+def _single_precision(P, K, level, held, limit) -> Iterator[Condition]:
+    """Rounded coefficients, then rounded arithmetic; the norm before rounding is `held`."""
     try:
         rounded = SequentialController.of(K, dtype="float", allow_unstable=True)
         exact = SequentialController.of(K, allow_unstable=True)
     except ExportError as error:
         yield Condition("float32 numbers", False, note=str(error))
         return
-    numbers = _measured("float32 numbers", P, rounded.system, level, limit)
+    numbers = _measured("float32 numbers", P, rounded.system, level, None)
+    if numbers.norm is not None and held is not None and numbers.norm > limit * max(held, level or 0.0):
+        note = f"{_over(numbers.norm, held):.4g} times the norm before rounding; at most {limit:g} is required"
+        numbers = replace(numbers, passed=False, note=note)
     yield numbers
     G = inner(P)
     if G.D.any():
@@ -239,71 +274,14 @@ def _single_precision(P, K, level, limit) -> Iterator[Condition]:
     if not (numbers.stable and is_stable(P.close(K))):
         yield Condition("float32 arithmetic", False, False, note=UNSTABLE)
         return
-    samples, covered = _horizon(P, K)
-    start = _starts(G, K, np.ones(K.ny)).sum(axis=0)
+    samples, covered = horizon(P, K)
+    start = starts(G, K, np.ones(K.ny)).sum(axis=0)
     linear, single = simulate(G, exact, start, samples), simulate(G, rounded, start, samples)
     size = np.abs(linear.v).max(axis=0)
     off = float((np.abs(single.v - linear.v).max(axis=0) / np.where(size > 0, size, 1.0)).max())
     fine = off <= RETURNED and (single.returned(linear.peaks()) or not covered)
-    note = f"commands differ by at most {off:.1e} of their peaks" + ("" if covered else _short(samples))
+    note = f"commands differ by at most {off:.1e} of their peaks" + ("" if covered else short(samples))
     yield Condition("float32 arithmetic", fine, fine, note=note)
-
-
-@dataclass(frozen=True)
-class Response:
-    """A simulated loop without exogenous inputs."""
-
-    y: np.ndarray  # (samples, p)
-    v: np.ndarray  # (samples, m) commands, after their limits
-
-    def peaks(self) -> np.ndarray:
-        """Largest value of every measurement and command, (p + m,)."""
-        return np.abs(np.hstack([self.y, self.v])).max(axis=0)
-
-    def returned(self, peaks: np.ndarray) -> bool:
-        """Whether the last twentieth stays below 1 % of the peaks of the linear loop."""
-        tail = max(len(self.y) // TIME_CONSTANTS, 1)
-        return bool((Response(self.y[-tail:], self.v[-tail:]).peaks() <= RETURNED * peaks).all())
-
-
-def simulate(G: StateSpace, controller: SequentialController, start: np.ndarray, samples: int) -> Response:
-    """The loop of a plant (float64, without direct term) and a controller stepped as the exported C steps it."""
-    x, state = start, controller.init()
-    y, v = np.empty((samples, G.ny)), np.empty((samples, G.nu))
-    with np.errstate(over="ignore", invalid="ignore"):  # a response that grows without bound has not returned
-        for k in range(samples):
-            y[k] = G.C @ x
-            state, v[k] = controller.update(state, y[k])
-            x = G.A @ x + G.B @ v[k]
-    return Response(y, v)
-
-
-def _horizon(P: GeneralizedPlant, K: StateSpace) -> tuple[int, bool]:
-    """Samples of a stable loop to simulate, and whether they cover the time constants that a response is given."""
-    radius = spectral_radius(P.close(K).A)
-    needed = TIME_CONSTANTS / -np.log(radius) if radius > 0 else 1
-    return int(min(max(np.ceil(needed), 50), LONGEST)), needed <= LONGEST
-
-
-def _short(samples: int) -> str:
-    return f"; only {samples} samples simulated, fewer than {TIME_CONSTANTS} time constants"
-
-
-def _starts(G: StateSpace, K: StateSpace, limits: np.ndarray) -> np.ndarray:
-    """Plant states (any, n) to start from, one displaced at a time: those that the controller answers.
-
-    Each is scaled so that the linear loop's largest command, over its limit, is one.
-    """
-    A = np.block([[G.A + G.B @ K.D @ G.C, G.B @ K.C], [K.B @ G.C, K.A]])
-    C, X = np.hstack([K.D @ G.C, K.C]) / limits[:, None], np.eye(G.n + K.n)[:, : G.n]
-    largest = np.zeros(G.n)
-    for _ in range(LONGEST):
-        largest = np.maximum(largest, np.abs(C @ X).max(axis=0))
-        X = A @ X
-        if np.abs(C @ X).max(initial=0.0) <= COMMANDED * largest.max(initial=0.0) and np.abs(X).max(initial=0.0) < 1:
-            break
-    answered = largest > COMMANDED * largest.max(initial=0.0)
-    return np.diag(1 / np.where(answered, largest, np.inf))[answered]
 
 
 def _saturation(P, K, umin, umax, antiwindup, overload) -> Condition:
@@ -324,22 +302,24 @@ def _saturation(P, K, umin, umax, antiwindup, overload) -> Condition:
         return Condition(name, False, note=DIRECT)
     if not is_stable(P.close(K)):
         return Condition(name, False, False, note=UNSTABLE)
-    samples, covered = _horizon(P, K)
+    samples, covered = horizon(P, K)
     if not covered:
-        return Condition(name, False, note="not judged" + _short(samples))
-    starts = overload * _starts(G, K, np.minimum(limited.umax, -limited.umin))
+        return Condition(name, False, note="cannot be told" + short(samples))
+    displaced = overload * starts(G, K, np.minimum(limited.umax, -limited.umin))
     signs = (1,) if np.array_equal(limited.umax, -limited.umin) else (1, -1)  # a loop with like limits is odd
-    peaks = np.max([simulate(G, linear, x, samples).peaks() for x in starts], axis=0) if len(starts) else np.zeros(1)
+    peaks = (
+        np.max([simulate(G, linear, x, samples).peaks() for x in displaced], axis=0) if len(displaced) else np.zeros(1)
+    )
     failed = [
         f"{'-+'[sign > 0]}x{int(np.flatnonzero(x)[0])}"
         for sign in signs
-        for x in starts
+        for x in displaced
         if not simulate(G, limited, sign * x, samples).returned(peaks)
     ]
     ending = (
         f"not back after {samples} samples from {', '.join(failed)}" if failed else f"back within {samples} samples"
     )
-    note = f"{len(starts) * len(signs)} starts that ask {overload:g} times the limits, {ending}"
+    note = f"{len(displaced) * len(signs)} starts that ask {overload:g} times the limits, {ending}"
     return Condition(name, not failed, not failed, note=note)
 
 
@@ -359,4 +339,4 @@ def _margins(found: Margins | None, required: Requirements, reason: str) -> Iter
             yield Condition(name, False, note=f"not measured: {reason}")
             continue
         text = f"{value:.4g} {unit}".strip() + f" ({meaning})" + (f"; required {least:g}" if least else "")
-        yield Condition(name, least is None or value >= least, note=text, required=least is not None)
+        yield Condition(name, not least or value >= least, note=text, required=bool(least))

@@ -99,6 +99,9 @@ def test_verify(synth):
     code, out, _ = synth("verify", "cubesat.json", "--phase-margin-deg", "80")
     assert code == 1
     assert "required 80" in out
+    assert "required 0.34" in out
+    code, out, _ = synth("verify", "cubesat.json", "--disk-margin", "0", "--json")
+    assert [c["verdict"] for c in json.loads(out)[0]["conditions"] if c["name"] == "disk margin"] == ["-"]
     code, out, _ = synth("verify", "cubesat.json", "--json")
     found = json.loads(out)[0]
     assert found["passed"]

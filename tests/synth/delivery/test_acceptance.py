@@ -7,7 +7,8 @@ from literature import compleib, cubesat_pecorilla2024
 from synth.analysis.coprime import gang_of_four
 from synth.analysis.norms import hinfnorm
 from synth.analysis.stabilitymargins import margins
-from synth.delivery.acceptance import Acceptance, Requirements, accept, inner, simulate
+from synth.delivery.acceptance import Acceptance, Requirements, accept, inner
+from synth.delivery.simulation import simulate
 from synth.errors import ModelError
 from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.sequential import SequentialController
@@ -152,7 +153,7 @@ def test_loop_shaping_saturates_on_its_plant_with_anti_windup():
     L = AntiWindup.of(design, -1, 1).L
     found = lines(accept(design, gang_of_four(G), umin=-1, umax=1, antiwindup=L))
     assert found["saturation"].passed
-    assert found["designed"].ratio == 1
+    assert found["designed"].verdict == "not judged"  # gamma is that of the shaped plant
 
 
 def test_an_unstable_loop_is_not_accepted():
@@ -183,3 +184,60 @@ def test_refusals(options, message):
         accept(K)
     with pytest.raises(ModelError, match="ratio is -1"):
         Requirements(ratio=-1)
+    with pytest.raises(ModelError, match="disk_margin is -1"):
+        Requirements(disk_margin=-1)
+    with pytest.raises(ModelError, match="level is 0"):
+        accept(K, P, level=0)
+
+
+def worse(K: StateSpace, factor: float) -> StateSpace:
+    return StateSpace(K.A, K.B, factor * K.C, factor * K.D, K.dt)
+
+
+def test_a_bare_controller_has_no_level_to_keep(cubesat, accepted):
+    """Its norm is reported, not judged; told a level it is, and the design's own level is that of the design."""
+    bare = accept(cubesat.controller, cubesat.plant)
+    line = lines(bare)["designed"]
+    assert (line.verdict, line.ratio, bare.level) == ("not judged", None, None)
+    assert line.norm == pytest.approx(lines(accepted)["designed"].norm, rel=1e-12)
+    assert bare.passed
+    assert [c.name for c in bare.not_judged] == ["designed"]
+    assert "accepted at a sampling time of 0.5 s; not judged, no level known: designed" in bare.verdict
+    told = accept(cubesat.controller, cubesat.plant, level=cubesat.gamma)
+    assert [c.verdict for c in told.conditions] == [c.verdict for c in accept(cubesat).conditions]
+    assert not lines(accept(cubesat.controller, cubesat.plant, level=cubesat.gamma / 2))["designed"].passed
+    late = accept(cubesat.controller, cubesat.plant, requirements=Requirements(delay_ratio=1.5))
+    assert [c.name for c in late.not_judged] == ["designed", "one sample of delay"]
+
+
+@pytest.mark.parametrize("limits", [{}, {"umin": -1e-3, "umax": 1e-3}])
+def test_a_controller_made_worse_is_not_accepted(cubesat, limits):
+    """Commands 3.2 times as large: without a level it is the margins that tell, with one the norm as well."""
+    K = worse(cubesat.controller, 3.2)
+    bare = accept(K, cubesat.plant, **limits)
+    assert not bare.passed
+    assert "disk margin" in {c.name for c in bare.failed}
+    told = accept(K, cubesat.plant, level=cubesat.gamma, **limits)
+    assert {"designed", "disk margin"} <= {c.name for c in told.failed}
+
+
+@pytest.mark.parametrize("dt", [1e-3, 1.0, 1e3])
+def test_margins_are_asked_by_default(dt):
+    """x+ = 1.2 x - k x: the disk shrinks as k nears the limits 0.2 and 2.2, whatever the unit of time."""
+    P = gang_of_four(StateSpace([[1.2]], [[1.0]], [[1.0]], [[0.0]], dt))
+    good, near = accept(static(-0.9, dt), P), accept(static(-2.0, dt), P)
+    assert good.passed
+    assert {c.name for c in near.failed} >= {"delay margin", "disk margin"}
+    nothing = Requirements(delay_margin_samples=None, disk_margin=None)
+    assert lines(accept(static(-2.0, dt), P, requirements=nothing))["disk margin"].verdict == "-"
+    zero = Requirements(delay_margin_samples=0, disk_margin=0)
+    assert lines(accept(static(-2.0, dt), P, requirements=zero))["delay margin"].verdict == "-"
+
+
+def test_a_level_of_zero_is_kept_by_a_norm_of_zero_alone(cubesat):
+    """w reaches z through the controller only: a design of level 0 whose controller was exchanged has no ratio of 1."""
+    P = GeneralizedPlant([[0.5]], [[0]], [[1]], [[1]], [[0]], [[1]], [[1]], [[1]], [[0]], dt=1.0)
+    for gain, ratio in ((0.0, 1.0), (-0.3, np.inf)):
+        design = Design(P, static(gain, 1.0), P.close(gain), 0.0, cubesat.info)
+        found = lines(accept(design))["designed"]
+        assert (found.ratio, found.passed) == (ratio, ratio == 1)
