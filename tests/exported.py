@@ -36,43 +36,59 @@ class Compiled:
         return getattr(self.library, f"{self.name}_self_test")()
 
     def replay(self, inputs: np.ndarray) -> np.ndarray:
-        """Outputs (samples, m) after a reset."""
-        state, y, u = (self.real * self.n)(*[1.0] * self.n), (self.real * self.p)(), (self.real * self.m)()
-        step, first = getattr(self.library, f"{self.name}_step"), (state,) if self.n else ()
-        if self.n:
-            getattr(self.library, f"{self.name}_reset")(state)
-        outputs = np.zeros((len(inputs), self.m), self.real)
+        """Outputs (samples, m) after a reset, without a fault."""
+        outputs, faults = self.replay_with_faults(inputs)
+        assert not faults.any()
+        return outputs
+
+    def replay_with_faults(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Outputs (samples, m) after a reset, and what the step returned (samples,)."""
+        size = self.n + self.m
+        state, y, u = (self.real * size)(*[1.0] * size), (self.real * self.p)(), (self.real * self.m)()
+        step = getattr(self.library, f"{self.name}_step")
+        getattr(self.library, f"{self.name}_reset")(state)
+        outputs, faults = np.zeros((len(inputs), self.m), self.real), np.zeros(len(inputs), int)
         for k, sample in enumerate(inputs):
             y[:] = sample.tolist()
-            step(*first, y, u)
+            faults[k] = step(state, y, u)
             outputs[k] = u
-        return outputs
+        return outputs, faults
 
 
 def plain_loop(c: SequentialController, inputs: np.ndarray) -> np.ndarray:
     """Outputs (samples, m) by scalar sums, written down once more and independent of the package."""
+    return plain_loop_with_faults(c, inputs)[0]
+
+
+def plain_loop_with_faults(c: SequentialController, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same, and where the command was held (samples,)."""
     real = c.A.dtype.type
-    x, outputs = [real(0)] * len(c.A), []
-    for y in inputs.astype(c.A.dtype):
-        u, deficit = [], []
-        for i in range(len(c.C)):
-            v = real(0)
-            for j in range(len(x)):
-                v = v + c.C[i, j] * x[j]
-            for j in range(len(y)):
-                v = v + c.D[i, j] * y[j]
-            u.append(c.umin[i] if v < c.umin[i] else c.umax[i] if v > c.umax[i] else v)
-            deficit.append(u[i] - v)
-        following = []
-        for i in range(len(x)):
-            total = real(0)
-            for M, vector in ((c.A, x), (c.B, y), (c.L, deficit)):
-                for j in range(len(vector)):
-                    total = total + M[i, j] * vector[j]
-            following.append(total)
-        x = following
-        outputs.append(u)
-    return np.array(outputs, c.A.dtype)
+    x, outputs, faults = [real(0)] * len(c.A), [], []
+    held = [min(max(real(0), low), high) for low, high in zip(c.umin, c.umax, strict=True)]
+    with np.errstate(all="ignore"):
+        for y in inputs.astype(c.A.dtype):
+            sums, u, deficit = [], [], []
+            for i in range(len(c.D)):
+                v = real(0)
+                for j in range(len(x)):
+                    v = v + c.C[i, j] * x[j]
+                for j in range(len(y)):
+                    v = v + c.D[i, j] * y[j]
+                sums.append(v)
+                u.append(c.umin[i] if v < c.umin[i] else c.umax[i] if v > c.umax[i] else v)
+                deficit.append(u[i] - v)
+            following = []
+            for i in range(len(x)):
+                total = real(0)
+                for M, vector in ((c.A, x), (c.B, y), *([(c.L, deficit)] if c.L.any() else [])):
+                    for j in range(len(vector)):
+                        total = total + M[i, j] * vector[j]
+                following.append(total)
+            faults.append(not all(map(np.isfinite, [*y, *sums, *following])))
+            if not faults[-1]:
+                x, held = following, u
+            outputs.append(held)
+    return np.array(outputs, c.A.dtype), np.array(faults)
 
 
 def closed_loop_inputs(controller: SequentialController, samples: int) -> np.ndarray:

@@ -1,6 +1,7 @@
 """A controller as C99: one header, one source, fixed sizes, no allocation, and a self test that compares bits.
 
-The arithmetic is that of `synth.regulators.sequential`: loops over the matrices, one rounded product after another.
+The arithmetic is that of `synth.regulators.sequential`: loops over the matrices, one rounded product after another, and
+the last command and the old states where something is not finite, which the step returns as 1.
 With ``-std=c99`` (or ``-ffp-contract=off``) and IEEE arithmetic the same bits come out on every processor; the self
 test, compiled in with ``-DNAME_SELF_TEST``, says whether they do on yours.
 """
@@ -17,8 +18,22 @@ from synth.delivery.origin import Origin, Signal
 from synth.errors import ExportError
 from synth.regulators.sequential import SequentialController
 
+HELD = (
+    "Where an input, a sum or a new state is not finite (NaN, infinity, overflow) the step returns 1: u is the last "
+    "command again, and the states stay as they were. The next finite sample goes on from there. States that are not "
+    "finite themselves stay so, and every sample is a fault, until the controller is reset. Needs IEEE arithmetic with "
+    "NaN: no -ffast-math."
+)
 SAMPLES = 32  # of the stored trace
 WIDTH = 100  # of comments
+ARITHMETIC = """\
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
+#error "compile without -ffast-math: it changes the bits, and takes the tests for NaN out"
+#endif
+"""
 
 
 def c_files(controller: SequentialController, origin: Origin, name: str, *, self_test: bool = True) -> dict[str, bytes]:
@@ -30,7 +45,6 @@ def c_files(controller: SequentialController, origin: Origin, name: str, *, self
 def header(controller: SequentialController, origin: Origin, name: str, self_test: bool) -> str:
     """The interface: sizes and sample time as macros, the state, its functions, and where all this comes from."""
     N, real, n = name.upper(), controller.dtype, len(controller.A)
-    state = f"{name}_state *state, " if n else ""
     parts = [_title(controller, origin, name), f"#ifndef {N}_H\n#define {N}_H\n"]
     sizes = [f"#define {N}_STATES  {n}"] if n else []
     sizes += [f"#define {N}_INPUTS  {controller.D.shape[1]}", f"#define {N}_OUTPUTS {controller.D.shape[0]}"]
@@ -38,17 +52,22 @@ def header(controller: SequentialController, origin: Origin, name: str, self_tes
         "\n".join([*sizes, f"#define {N}_SAMPLE_TIME {_number(controller.A.dtype.type(controller.dt))} /* s */\n"])
     )
     parts.append('#ifdef __cplusplus\nextern "C" {\n#endif\n')
-    if n:
-        parts.append(f"typedef struct {{\n    {real} x[{N}_STATES];\n}} {name}_state;\n")
-        parts.append(f"/* Sets the states to zero. */\nvoid {name}_reset({name}_state *state);\n")
+    members = [f"    {real} x[{N}_STATES];\n"] * (n > 0) + [f"    {real} u[{N}_OUTPUTS]; /* the last command */\n"]
+    parts.append(f"typedef struct {{\n{''.join(members)}}} {name}_state;\n")
     parts.append(
-        "/* One sample: reads the inputs y, writes the outputs u. The two must not overlap. */\n"
-        f"void {name}_step({state}const {real} y[{N}_INPUTS], {real} u[{N}_OUTPUTS]);\n"
+        f"/* Sets the states to zero, and the last command to zero as far as the limits allow. */\n"
+        f"void {name}_reset({name}_state *state);\n"
+    )
+    parts.append(
+        "/* One sample: reads the inputs y, writes the outputs u. Returns 0, or 1 for a fault: an input, a sum or a\n"
+        " * new state is not finite; u is then the last command again, and the states stay. */\n"
+        f"int {name}_step({name}_state *state, const {real} y[{N}_INPUTS], {real} u[{N}_OUTPUTS]);\n"
     )
     if self_test:
         parts.append(
             f"#ifdef {N}_SELF_TEST\n"
-            "/* Replays a stored trace: 0 if every bit agrees, else the number of the first sample that differs. */\n"
+            "/* Replays a stored trace: 0 if every bit agrees, else the number of the first sample that differs. The\n"
+            " * last samples are not numbers, and must be faults. */\n"
             f"int {name}_self_test(void);\n#endif\n"
         )
     return "\n".join([*parts, "#ifdef __cplusplus\n}\n#endif\n", "#endif\n"])
@@ -56,17 +75,11 @@ def header(controller: SequentialController, origin: Origin, name: str, self_tes
 
 def source(controller: SequentialController, name: str, self_test: bool) -> str:
     """The implementation: matrices, step, and the trace of the self test."""
-    N, n = name.upper(), len(controller.A)
-    includes = [f'#include "{name}.h"\n']
-    if controller.limited and not np.isfinite([controller.umin, controller.umax]).all():
-        includes.append("#include <math.h>\n")
+    N = name.upper()
+    includes = [f'#include "{name}.h"\n', "#include <math.h>\n"]
     if self_test:
         includes.append(f"#ifdef {N}_SELF_TEST\n#include <string.h>\n#endif\n")
-    contract = "#if defined(__clang__)\n#pragma STDC FP_CONTRACT OFF\n#endif\n"
-    parts = [*includes, contract, *_matrices(controller, N)]
-    if n:
-        parts.append(_reset(name, N))
-    parts.append(_step(controller, name))
+    parts = [*includes, ARITHMETIC, *_matrices(controller, N), _reset(controller, name), _step(controller, name)]
     if self_test:
         parts.append(_self_test(controller, name))
     return "\n".join(parts)
@@ -83,13 +96,10 @@ def _title(controller: SequentialController, origin: Origin, name: str) -> str:
     lines += [*_signals("y", origin.inputs), "", *_signals("u", origin.outputs, controller), ""]
     for key, text in origin.facts.items():
         lines += textwrap.wrap(text, WIDTH - 14, initial_indent=f"{key:12} ", subsequent_indent=" " * 13)
-    lines += ["", f"Use, once every {name.upper()}_SAMPLE_TIME seconds, with finite inputs:", ""]
-    lines += (
-        [f"    static {name}_state state;", f"    {name}_reset(&state);      once, before the first sample"]
-        if n
-        else []
-    )
-    lines += [f"    {name}_step({'&state, ' if n else ''}y, u);"]
+    lines += ["", f"Use, once every {name.upper()}_SAMPLE_TIME seconds:", ""]
+    lines += [f"    static {name}_state state;", f"    {name}_reset(&state);      once, before the first sample"]
+    lines += [f"    fault = {name}_step(&state, y, u);", ""]
+    lines += textwrap.wrap(HELD, WIDTH)
     body = "\n".join(f" * {line}".rstrip() for line in lines)
     return f"/*\n{body}\n */\n"
 
@@ -160,39 +170,48 @@ def _rows(M: np.ndarray) -> str:
     return ",\n".join(f"    {{ {row} }}" for row in rows)
 
 
-def _reset(name: str, N: str) -> str:
-    return f"""\
-void {name}_reset({name}_state *state)
-{{
-    for (int i = 0; i < {N}_STATES; ++i) {{
-        state->x[i] = 0;
-    }}
-}}
-"""
+def _within_limits(controller: SequentialController, value: str) -> str:
+    """The value within its limits; NaN would not pass these comparisons."""
+    if not controller.limited:
+        return value
+    return f"!({value} >= umin[i]) ? umin[i] : !({value} <= umax[i]) ? umax[i] : {value}"
+
+
+def _reset(controller: SequentialController, name: str) -> str:
+    """The function that sets the state."""
+    N = name.upper()
+    body = _loop("i", f"{N}_STATES", ["state->x[i] = 0;"]) if len(controller.A) else []
+    body += _loop("i", f"{N}_OUTPUTS", [f"state->u[i] = {_within_limits(controller, '0')};"])
+    return _function(f"void {name}_reset({name}_state *state)", body)
 
 
 def _step(controller: SequentialController, name: str) -> str:
-    """One sample: outputs first, from the old states; then the states, through a copy."""
+    """One sample: the commands from the old states, and the new states; both are kept if all is finite."""
     N, n, real = name.upper(), len(controller.A), controller.dtype
     states, inputs, outputs = (f"{N}_{size}" for size in ("STATES", "INPUTS", "OUTPUTS"))
-    result = "v" if controller.limited else "u[i]"
-    lines = [f"{f'{real} v' if controller.limited else 'u[i]'} = 0;"]
-    lines += _add(result, "C", "state->x", states) if n else []
-    lines += _add(result, "D", "y", inputs) if _has_direct_term(controller) else []
-    if controller.limited:
-        lines.append("u[i] = v < umin[i] ? umin[i] : v > umax[i] ? umax[i] : v;")
-    if controller.conditioned:
-        lines.append("deficit[i] = u[i] - v;")
-    body = _loop("i", outputs, lines)
+    body = [f"{real} command[{outputs}];"]
+    body += [f"{real} deficit[{outputs}];"] * controller.conditioned + [f"{real} next[{states}];"] * (n > 0)
+    body += ["int fault = 0;", "", *_loop("j", inputs, ["fault |= !isfinite(y[j]);"])]
+    lines = [f"{real} v = 0;"]
+    lines += _add("v", "C", "state->x", states) if n else []
+    lines += _add("v", "D", "y", inputs) if _has_direct_term(controller) else []
+    lines += [f"command[i] = {_within_limits(controller, 'v')};", "fault |= !isfinite(v);"]
+    lines += ["deficit[i] = command[i] - v;"] * controller.conditioned
+    body += _loop("i", outputs, lines)
+    kept = _loop("i", outputs, ["state->u[i] = command[i];"])
     if n:
         lines = ["next[i] = 0;", *_add("next[i]", "A", "state->x", states), *_add("next[i]", "B", "y", inputs)]
         lines += _add("next[i]", "L", "deficit", outputs) if controller.conditioned else []
-        body += _loop("i", states, lines) + _loop("i", states, ["state->x[i] = next[i];"])
-        declared = [f"{real} next[{states}];"] + [f"{real} deficit[{outputs}];"] * controller.conditioned
-        body = [*declared, "", *body]
-    state = f"{name}_state *state, " if n else ""
-    code = textwrap.indent("\n".join(body), "    ")
-    return f"void {name}_step({state}const {real} y[{inputs}], {real} u[{outputs}])\n{{\n{code}\n}}\n"
+        body += _loop("i", states, [*lines, "fault |= !isfinite(next[i]);"])
+        kept = _loop("i", states, ["state->x[i] = next[i];"]) + kept
+    body += ["if (!fault) {", *(f"    {line}" for line in kept), "}"]
+    body += [*_loop("i", outputs, ["u[i] = state->u[i];"]), "return fault;"]
+    return _function(f"int {name}_step({name}_state *state, const {real} y[{inputs}], {real} u[{outputs}])", body)
+
+
+def _function(head: str, body: Sequence[str]) -> str:
+    code = textwrap.indent("\n".join(body), "    ", lambda line: bool(line.strip()))
+    return f"{head}\n{{\n{code}\n}}\n"
 
 
 def _loop(index: str, size: str, lines: Sequence[str]) -> list[str]:
@@ -205,19 +224,29 @@ def _add(target: str, matrix: str, vector: str, size: str) -> list[str]:
 
 
 def _self_test(controller: SequentialController, name: str) -> str:
-    """The stored trace and the function that replays it."""
-    N, n, real = name.upper(), len(controller.A), controller.dtype
+    """The stored trace and the function that replays it, and then holds the last command over what is no number."""
+    N, real = name.upper(), controller.dtype
     y, u = trace(controller)
-    call = f"{name}_step({'&state, ' if n else ''}trace_y[k], u);"
-    declared = [f"{name}_state state;"] if n else []
-    body = [*declared, f"{real} u[{N}_OUTPUTS];", "", *([f"{name}_reset(&state);"] if n else [])]
-    body += _loop("k", str(SAMPLES), [call, "if (memcmp(u, trace_u[k], sizeof u) != 0) {", "    return k + 1;", "}"])
-    code = textwrap.indent("\n".join([*body, "return 0;"]), "    ")
+    differs = "memcmp(u, trace_u[{}], sizeof u) != 0"
+    body = [
+        f"static const {real} strange[3] = {{ NAN, INFINITY, -INFINITY }};",
+        f"{name}_state state;", f"{real} y[{N}_INPUTS], u[{N}_OUTPUTS];", "", f"{name}_reset(&state);",
+        *_loop("k", str(SAMPLES), [
+            f"if ({name}_step(&state, trace_y[k], u) != 0 || {differs.format('k')}) {{", "    return k + 1;", "}",
+        ]),
+        "memcpy(y, trace_y[0], sizeof y);",
+        *_loop("k", "3", [
+            "y[k % " + f"{N}_INPUTS] = strange[k];",
+            f"if ({name}_step(&state, y, u) != 1 || {differs.format(SAMPLES - 1)}) {{",
+            f"    return {SAMPLES} + k + 1;", "}",
+        ]),
+        "return 0;",
+    ]  # fmt: skip
     tables = [
         f"{_columns(M, key)}\nstatic const {real} trace_{key}[{SAMPLES}][{N}_{size}] = {{\n{_rows(M)}\n}};\n"
         for key, M, size in (("y", y, "INPUTS"), ("u", u, "OUTPUTS"))
     ]
-    return "\n".join([f"#ifdef {N}_SELF_TEST", *tables, f"int {name}_self_test(void)\n{{\n{code}\n}}\n#endif\n"])
+    return "\n".join([f"#ifdef {N}_SELF_TEST", *tables, f"{_function(f'int {name}_self_test(void)', body)}#endif\n"])
 
 
 def trace(controller: SequentialController) -> tuple[np.ndarray, np.ndarray]:
@@ -245,8 +274,11 @@ def trace(controller: SequentialController) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _outputs(controller: SequentialController, inputs: np.ndarray) -> np.ndarray:
-    state, outputs = controller.init(), []
-    for y in inputs:
+    """Outputs (samples, m), not numbers from the first fault on."""
+    state, outputs = controller.init(), np.full((len(inputs), len(controller.D)), np.nan, controller.A.dtype)
+    for k, y in enumerate(inputs):
         state, u = controller.update(state, y)
-        outputs.append(u)
-    return np.array(outputs)
+        if state.fault:
+            break
+        outputs[k] = u
+    return outputs

@@ -24,9 +24,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-import numpy as np
-
-from synth.delivery.c import c_files, initializer
+from synth.delivery.c import c_files
 from synth.delivery.origin import Origin
 from synth.errors import ExportError
 from synth.regulators.sequential import SequentialController
@@ -105,6 +103,7 @@ def description(controller: SequentialController, origin: Origin, name: str, tok
     for unit in units:
         SubElement(definitions, "Unit", name=unit)
     categories = SubElement(root, "LogCategories")
+    SubElement(categories, "Category", name="logStatusWarning", description="a command was held: something not finite")
     SubElement(categories, "Category", name="logStatusError", description="what is wrong, when a call fails")
     (_variables2 if version == 2 else _variables3)(root, origin, step)
     return _xml(root)
@@ -176,12 +175,7 @@ def _token(files: dict[str, bytes], blank: bytes) -> str:
 
 def _model_header(controller: SequentialController, name: str, token: str) -> bytes:
     """The header model.h: what the wrapper has to know about this controller."""
-    N, n = name.upper(), len(controller.A)
-    zero = np.zeros(len(controller.D), controller.A.dtype)
-    first = np.minimum(np.maximum(zero, controller.umin), controller.umax)
-    state = (
-        (f"{name}_state state;", f"{name}_reset(&(data)->state)", "&(data)->state, ") if n else ("", "((void)0)", "")
-    )
+    N = name.upper()
     return f"""\
 /* Joins the controller and the wrapper. */
 #include "{name}.h"
@@ -192,10 +186,9 @@ typedef {controller.dtype} model_real;
 #define MODEL_SAMPLE_TIME {controller.dt!r} /* s */
 #define MODEL_INPUTS {N}_INPUTS
 #define MODEL_OUTPUTS {N}_OUTPUTS
-#define MODEL_FIRST_OUTPUTS {initializer(first)} /* before the first sample */
-#define MODEL_STATE {state[0]}
-#define MODEL_RESET(data) {state[1]}
-#define MODEL_STEP(data) {name}_step({state[2]}(data)->y, (data)->u)
+#define MODEL_STATE {name}_state
+#define MODEL_RESET {name}_reset
+#define MODEL_STEP {name}_step
 """.encode()
 
 

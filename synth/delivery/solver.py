@@ -103,13 +103,16 @@ def _wrapper(controller: Mpc, name: str) -> dict[str, bytes]:
 #define {N}_PARAMETERS {where["inputs"].stop}
 #define {N}_OUTPUTS {len(unit)}
 
-/* The command u from the measured data phi; 0 if QOCO solved the program, else 1 and u is left as it was. */
+/* The command u from the measured data phi; 0 if QOCO solved the program. Else 1, and u is left as it was: keep the
+ * last command in it. So it is where phi or the solution is not finite; compile without -ffast-math. */
 int {name}_solve(const double phi[{N}_PARAMETERS], double u[{N}_OUTPUTS]);
 
 #endif
 """
     source = f"""\
 #include "{name}.h"
+
+#include <math.h>
 
 #include "cpg_solve.h"
 #include "cpg_workspace.h"
@@ -122,11 +125,19 @@ int {name}_solve(const double phi[{N}_PARAMETERS], double u[{N}_OUTPUTS])
     cpg_set_solver_abstol({TOLERANCE});
     cpg_set_solver_reltol({TOLERANCE});
     for (int i = 0; i < {N}_PARAMETERS; ++i) {{
+        if (!isfinite(phi[i])) {{
+            return 1;
+        }}
         cpg_update_phi(i, phi[i]);
     }}
     cpg_solve();
     if (CPG_Result.info->status != {SOLVED}) {{
         return 1;
+    }}
+    for (int i = 0; i < {N}_OUTPUTS; ++i) {{
+        if (!isfinite(CPG_Result.prim->v[i])) {{
+            return 1;
+        }}
     }}
     for (int i = 0; i < {N}_OUTPUTS; ++i) {{
         u[i] = unit[i] * CPG_Result.prim->v[i];

@@ -2,6 +2,10 @@
 
     v = C x + D e,   u = min(max(v, umin), umax),   x+ = A x + B e + L (u - v)
 
+Where an input e, a sum v or a new state is not finite - a NaN from a sensor, an overflow inside - the sample is a
+fault: the last command is held, the states stay, and the caller is told. Before the first sample the command is zero,
+as far as the limits allow. A state that is itself not finite stays, and every sample is a fault, until it is reset.
+
 Every sum starts at zero and adds one rounded product after another, from left to right, first the states, then the
 inputs, then the deficit u - v of the actuators. The C code (`synth.delivery.c`) is printed from this object.
 
@@ -14,7 +18,7 @@ Reference: Astrom and Rundqwist (1989), Integrator windup and how to avoid it, A
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,6 +31,14 @@ from synth.systems.statespace import StateSpace, as_system
 
 DTYPES = {"double": np.float64, "float": np.float32}  # C's name of the type -> NumPy's
 INTEGRATES = 1e-9  # a pole no further than this outside the unit circle is one of an integrator
+
+
+class State(NamedTuple):
+    """What the controller remembers between samples."""
+
+    x: np.ndarray  # (n,)
+    u: np.ndarray  # (m,) unit of u, the last command
+    fault: bool  # whether the last sample was one, so that this command is held
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,30 +77,39 @@ class SequentialController:
         """The controller with the rounded matrices and without limits, as a StateSpace in double precision."""
         return StateSpace(self.A, self.B, self.C, self.D, self.dt)
 
-    def init(self) -> np.ndarray:
-        """The zero state, (n,)."""
-        return np.zeros(len(self.A), self.A.dtype)
+    def init(self) -> State:
+        """Zero states, and zero commands as far as the limits allow."""
+        zero = np.zeros(len(self.D), self.A.dtype)
+        return State(np.zeros(len(self.A), self.A.dtype), self._limited(zero), False)
 
-    def update(self, state: Any, e: Any) -> tuple[np.ndarray, np.ndarray]:
-        """(state, e) -> (state, u) with state (n,), controller input e (p,), u (m,): one call of the C function.
+    def _limited(self, v: np.ndarray) -> np.ndarray:
+        """V within the limits; the comparisons are such that NaN would not pass."""
+        return np.where(~(v >= self.umin), self.umin, np.where(~(v <= self.umax), self.umax, v))
+
+    def update(self, state: State, e: Any) -> tuple[State, np.ndarray]:
+        """(state, e) -> (state, u) with controller input e (p,), u (m,): one call of the C function.
 
         The input is rounded to the controller's type first, as a C compiler does on assignment.
         """
-        x, e = np.asarray(state, self.A.dtype), np.asarray(e, self.A.dtype)
-        if e.shape != (self.D.shape[1],):
-            raise ModelError(f"the controller input has shape {e.shape}; pass {self.D.shape[1]} numbers")
         with np.errstate(all="ignore"):
-            v = _sum(len(self.C), (self.C, x), (self.D, e))
-            u = np.where(v < self.umin, self.umin, np.where(v > self.umax, self.umax, v))
+            x, e = state.x, np.asarray(e, self.A.dtype)
+            if e.shape != (self.D.shape[1],):
+                raise ModelError(f"the controller input has shape {e.shape}; pass {self.D.shape[1]} numbers")
+            v = _sum(len(self.D), (self.C, x), (self.D, e))
+            u = self._limited(v)
             terms = [(self.A, x), (self.B, e)]
             if self.conditioned:
                 terms.append((self.L, u - v))
-            return _sum(len(self.A), *terms), u
+            following = _sum(len(self.A), *terms)
+        if np.isfinite(e).all() and np.isfinite(v).all() and np.isfinite(following).all():
+            return State(following, u, False), u
+        return state._replace(fault=True), state.u
 
-    def step(self, state: Any, y: Any, r: Any) -> tuple[np.ndarray, np.ndarray]:
+    def step(self, state: State, y: Any, r: Any) -> tuple[State, np.ndarray]:
         """(state, y, r) -> (state, u): `update` with e = r - y, so that a simulator can fly the exported controller."""
-        y, r = np.asarray(y, self.A.dtype), np.asarray(r, self.A.dtype)
-        return self.update(state, r - y)
+        with np.errstate(all="ignore"):
+            e = np.asarray(r, self.A.dtype) - np.asarray(y, self.A.dtype)
+        return self.update(state, e)
 
     @classmethod
     def of(

@@ -109,7 +109,16 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean noSetFMUStatePriorToCurrentPoint)
 {
-    return report(c, data_step(&((instance *)c)->data, t, h));
+    const instance *self = c;
+    fmi2Status status = report(self, data_step(&((instance *)c)->data, t, h));
+
+    if (status == fmi2OK && self->data.fault) {
+        status = fmi2Warning;
+        if (self->log != NULL) {
+            self->log(self->environment, self->name, status, "logStatusWarning", "%s", HELD);
+        }
+    }
+    return status;
 }
 
 /* All variables are real. */

@@ -96,6 +96,14 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
 {
     fmi3Status status = report(c, data_step(&((instance *)c)->data, t, h));
 
+    if (status == fmi3OK && ((instance *)c)->data.fault) {
+        const instance *self = c;
+
+        status = fmi3Warning;
+        if (self->log != NULL) {
+            self->log(self->environment, status, "logStatusWarning", HELD);
+        }
+    }
     *eventHandlingNeeded = *terminateSimulation = *earlyReturn = fmi3False;
     *lastSuccessfulTime = ((instance *)c)->data.time;
     return status;

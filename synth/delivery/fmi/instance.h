@@ -4,6 +4,9 @@
  *
  * Sample k is taken at start + k * MODEL_SAMPLE_TIME. A step from t to t + h takes the samples in [t, t + h) with
  * the inputs set before the step; the outputs hold between samples. Value references: inputs, outputs, time.
+ *
+ * Inputs that are not finite are refused when they are set. Where the controller itself meets a number that is not
+ * finite, as by overflow in single precision, it holds its last command and the step ends with a warning.
  */
 #ifndef INSTANCE_H
 #define INSTANCE_H
@@ -25,13 +28,15 @@
 #pragma GCC diagnostic ignored "-Wunused-parameter" /* the standard fixes the signatures */
 #endif
 
+#define HELD "an input, a sum or a state of the controller is not finite: the last command is held"
 #define TIME (MODEL_INPUTS + MODEL_OUTPUTS)
 #define TOLERANCE (1e-6 * MODEL_SAMPLE_TIME) /* s, of a sample at the end of a step */
 
 typedef struct {
     model_real y[MODEL_INPUTS];
     model_real u[MODEL_OUTPUTS];
-    MODEL_STATE
+    MODEL_STATE state;
+    int fault;      /* 1 if the last step held a command */
     double start;   /* s, time of sample 0 */
     double samples; /* taken so far */
     double time;    /* s, end of the last step */
@@ -39,11 +44,10 @@ typedef struct {
 
 static void data_reset(controller_data *data)
 {
-    static const model_real u[MODEL_OUTPUTS] = MODEL_FIRST_OUTPUTS;
-
     memset(data->y, 0, sizeof data->y);
-    memcpy(data->u, u, sizeof u);
-    MODEL_RESET(data);
+    MODEL_RESET(&data->state);
+    memcpy(data->u, data->state.u, sizeof data->u);
+    data->fault = 0;
     data->samples = 0;
 }
 
@@ -58,8 +62,9 @@ static const char *data_step(controller_data *data, double t, double h)
     if (!isfinite(t) || !isfinite(h) || h <= 0) {
         return "the communication step is not positive";
     }
+    data->fault = 0;
     while (data->start + data->samples * MODEL_SAMPLE_TIME < t + h - TOLERANCE) {
-        MODEL_STEP(data);
+        data->fault |= MODEL_STEP(&data->state, data->y, data->u);
         data->samples += 1;
     }
     data->time = t + h;

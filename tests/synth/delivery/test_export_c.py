@@ -316,6 +316,6 @@ def test_step_is_update_on_the_error(design):
     s1, u1 = ours.step(ours.init(), y, r)
     s2, u2 = linear.step(linear.init(), y, r)
     np.testing.assert_allclose(u1, u2, rtol=1e-12)
-    np.testing.assert_allclose(s1, s2, rtol=1e-12)
+    np.testing.assert_allclose(s1.x, s2, rtol=1e-12)
     with pytest.raises(ModelError, match="pass 6 numbers"):
         ours.update(ours.init(), np.zeros(5))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exported import STRICT, closed_loop_inputs, gcc, plain_loop
+from exported import STRICT, closed_loop_inputs, gcc, plain_loop, plain_loop_with_faults
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from literature import cubesat_pecorilla2024
@@ -178,6 +178,31 @@ def test_wrong_calls_fail_and_say_why(fmpy, design, tmp_path, version, capfd):
     unit.close()
     with pytest.raises(Exception, match="instantiate"):
         Unit(fmpy, path, tmp_path / "again", token="{another}")
+
+
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("dtype", ["double", "float"])
+def test_a_unit_holds_its_last_command_and_warns(fmpy, tmp_path, version, dtype):
+    """Finite inputs that overflow inside: the outputs stay, the master is warned, the next sample goes on."""
+    K = StateSpace([[0.5, 0.1], [0, 0.3]], [[1e3, 0], [1, -1]], [[1, 2], [0, 1]], np.zeros((2, 2)), 0.1)
+    (path,) = export(K, f"fmu{version}", tmp_path, dtype=dtype, umin=0.25, umax=5)
+    controller = SequentialController.of(K, dtype=dtype, umin=0.25, umax=5)
+    inputs = np.array([[1e308, 0], [1, 2], [1.5e308, 0], [0, 0.5], [-1e307, 0], [1, 1], [1, 1]])
+    expected, faults = plain_loop_with_faults(controller, inputs)
+    assert faults.tolist() == [True, False, True, False, True, False, False]
+    unit, answers = Unit(fmpy, path, tmp_path / "unzipped"), []
+    function = "fmi2DoStep" if version == 2 else "fmi3DoStep"
+    call = getattr(unit.fmu, function)
+    setattr(unit.fmu, function, lambda *arguments: answers.append(call(*arguments)) or answers[-1])
+    unit.start()
+    found = []
+    for k, y in enumerate(inputs):
+        unit.set(y)
+        unit.step(k * 0.1, 0.1)
+        found.append(unit.get())
+    unit.close()
+    assert np.array(found).tobytes() == expected.astype(float).tobytes()
+    assert answers == faults.astype(int).tolist()  # OK is 0, a warning 1
 
 
 @settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
