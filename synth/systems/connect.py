@@ -13,7 +13,7 @@ import numpy as np
 
 from synth.checks import as_array, as_whole
 from synth.errors import ModelError
-from synth.systems.realization import is_singular
+from synth.systems.realization import loop_solve
 from synth.systems.statespace import StateSpace, as_systems
 
 
@@ -98,11 +98,10 @@ def lft(P: Any, K: Any, nmeas: int | None = None, ncon: int | None = None) -> St
     B1, B2 = P.B[:, :mw], P.B[:, mw:]
     C1, C2 = P.C[:pz], P.C[pz:]
     D11, D12, D21, D22 = P.D[:pz, :mw], P.D[:pz, mw:], P.D[pz:, :mw], P.D[pz:, mw:]
-    E = np.eye(ncon) - K.D @ D22
-    if is_singular(E, np.eye(ncon) + np.abs(K.D) @ np.abs(D22)):
+    # u = (I - Dk D22)^-1 (Ck xk + Dk C2 x + Dk D21 w), y = C2 x + D21 w + D22 u
+    U = loop_solve(K.D @ D22, np.hstack([K.D @ C2, K.C, K.D @ D21]))
+    if U is None:
         raise ModelError("the loop is not well posed: I - Dk D22 is singular; perturb D22 or the controller's D")
-    # u = E^-1 (Ck xk + Dk C2 x + Dk D21 w), y = C2 x + D21 w + D22 u
-    U = np.linalg.solve(E, np.hstack([K.D @ C2, K.C, K.D @ D21]))
     Y = np.hstack([C2, np.zeros((nmeas, K.n)), D21]) + D22 @ U
     x, w = slice(0, P.n + K.n), slice(P.n + K.n, None)
     top = np.hstack([P.A, np.zeros((P.n, K.n)), B1]) + B2 @ U

@@ -13,7 +13,7 @@ Van Dooren (1981), IEEE TAC 26, 111 (staircase forms).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import scipy.linalg as sla
@@ -138,6 +138,16 @@ def is_singular(M: np.ndarray, summed: np.ndarray | None = None) -> bool:
     except np.linalg.LinAlgError:
         return True
     return not (np.isfinite(effect).all() and np.abs(np.linalg.eigvals(effect)).max(initial=0.0) < SINGULAR)
+
+
+def loop_solve(L: np.ndarray, X: np.ndarray) -> np.ndarray | None:
+    """(I - L)^-1 X for a loop of direct terms, (m, m), in units that balance it; None where I - L is singular."""
+    found = cast("tuple[np.ndarray, tuple[np.ndarray, Any]]", sla.matrix_balance(L, permute=False, separate=True))
+    balanced, scale = found[0], found[1][0][:, None]
+    E = np.eye(len(L)) - balanced
+    if is_singular(E, np.eye(len(L)) + np.abs(balanced)):
+        return None
+    return scale * np.linalg.solve(E, X / scale)
 
 
 def balanced(G: Matrices) -> Matrices:

@@ -29,7 +29,7 @@ from synth.checks import (
 from synth.errors import ModelError
 from synth.systems import zeros as transmission
 from synth.systems.convert import fitted, parts
-from synth.systems.realization import Matrices, fraction, gain_at_rest, is_singular
+from synth.systems.realization import Matrices, fraction, gain_at_rest, is_singular, loop_solve
 from synth.systems.responses import Response, impulse, step
 
 if TYPE_CHECKING:
@@ -201,11 +201,10 @@ class StateSpace:
         K = _matched("K", K, self, square=True)
         K = -K if sign == -1 else K
         check_loop("G", self, "K", K)
-        E = np.eye(self.nu) - K.D @ self.D
-        if is_singular(E, np.eye(self.nu) + np.abs(K.D) @ np.abs(self.D)):
+        # v = u + K y = (I - Dk D)^-1 (u + Ck xk + Dk C x)
+        V = loop_solve(K.D @ self.D, np.hstack([K.D @ self.C, K.C, np.eye(self.nu)]))
+        if V is None:
             raise ModelError("the loop is not well posed: I - Dk D is singular; perturb one of the direct terms")
-        # v = u + K y = E^-1 (u + Ck xk + Dk C x)
-        V = np.linalg.solve(E, np.hstack([K.D @ self.C, K.C, np.eye(self.nu)]))
         Y = np.hstack([self.C, np.zeros((self.ny, K.n)), np.zeros((self.ny, self.nu))]) + self.D @ V
         n = self.n + K.n
         top = np.hstack([self.A, np.zeros((self.n, K.n + self.nu))]) + self.B @ V

@@ -139,3 +139,16 @@ def test_bad_operands_are_refused():
     ):
         with pytest.raises(ModelError, match=message):
             wrong()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_well_posed_loops_of_gains_in_any_units(seed):
+    """u in units sixteen decades apart: I - Dk D22 is a similarity away from a tame matrix."""
+    rng = np.random.default_rng(seed)
+    D, K = rng.normal(size=(2, 3)), rng.normal(size=(3, 2))
+    units = 10.0 ** rng.uniform(-8, 8, 3)
+    expected = np.linalg.solve(np.eye(2) + D @ K, D)
+    found = StateSpace.gain(D * units, 1.0).feedback(StateSpace.gain(K / units[:, None], 1.0))
+    np.testing.assert_allclose(found.D, expected * units, rtol=1e-9, atol=1e-9 * np.abs(expected * units).min())
+    with pytest.raises(ModelError, match="not well posed"):
+        StateSpace.gain([[1.0]], 1.0).feedback(-1)
