@@ -307,9 +307,9 @@ def _saturation(P, K, umin, umax, antiwindup, overload) -> Condition:
         return Condition(name, False, note="cannot be told" + short(samples))
     displaced = overload * starts(G, K, np.minimum(limited.umax, -limited.umin))
     signs = (1,) if np.array_equal(limited.umax, -limited.umin) else (1, -1)  # a loop with like limits is odd
-    peaks = (
-        np.max([simulate(G, linear, x, samples).peaks() for x in displaced], axis=0) if len(displaced) else np.zeros(1)
-    )
+    if not len(displaced):
+        return Condition(name, True, note="no state to displace that the controller answers", required=False)
+    peaks = np.max([simulate(G, linear, x, samples).peaks() for x in displaced], axis=0)
     failed = [
         f"{'-+'[sign > 0]}x{int(np.flatnonzero(x)[0])}"
         for sign in signs

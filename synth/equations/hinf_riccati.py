@@ -21,6 +21,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from synth.equations.doubling import Riccati, double, evaluate, is_positive, regularised_lqr, solve_riccati
+from synth.equations.parrott import parrott
 from synth.errors import NumericalError
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.modes import crosses
@@ -163,21 +164,6 @@ def regularised(P: GeneralizedPlant, epsilon: float) -> GeneralizedPlant:
         C1=np.vstack([P.C1, eI(n), O((nu, n))]), D12=np.vstack([P.D12, O((n, nu)), eI(nu)]),
         D11=np.block([[P.D11, O((nz, n + ny))], [O((n + nu, nw + n + ny))]]),
     )  # fmt: skip
-
-
-def parrott(P: GeneralizedPlant) -> float:
-    """Level below which no controller can go, whatever its direct term: the parts of D11 out of reach of u and y."""
-    return max(float(np.linalg.norm(M, 2)) for M in parrott_parts(P))
-
-
-def parrott_parts(P: GeneralizedPlant) -> tuple[np.ndarray, np.ndarray]:
-    """The part of D11 out of reach of u, and the part out of reach of y, each (nz, nw)."""
-
-    def complement(D):
-        N = sla.null_space(D.T) if np.any(D) else np.eye(len(D))
-        return N @ N.T
-
-    return complement(P.D12) @ P.D11, P.D11 @ complement(P.D21.T)
 
 
 def control_riccati(P: GeneralizedPlant, gamma: float, start: np.ndarray | None = None) -> Riccati | None:

@@ -214,6 +214,7 @@ def certify(
 
     Raises
     ------
+    ModelError : a level that is no positive number, or a plant without states.
     VerificationError : the upper bound, or a lower bound that was asked for, was not proved.
 
     References
@@ -227,6 +228,8 @@ def certify(
     if upper is not None:
         upper = as_number("upper", upper, "a positive level to prove the controller below", above=0)
     P, K = design.plant, design.closing
+    if not len(P.A):
+        raise ModelError("the plant has no states, and its optimum is in closed form; certify proves levels of loops")
     levels = [upper] if upper is not None else [design.gamma * (1 + m) for m in MARGINS]
     above = next(((g, found) for g in levels if (found := find_upper(P, K, g, bits))), None)
     if above is None:

@@ -172,7 +172,8 @@ class Design:
             }
         if self.margins is not None:
             facts |= {"margins": words(self.margins)}
-        facts |= {"slowest pole": f"{self.info.slowest:.4g} rad/s"}
+        if np.isfinite(self.info.slowest):  # else unknown, or there are no poles
+            facts |= {"slowest pole": f"{self.info.slowest:.4g} rad/s"}
         if self.warnings:
             facts |= {"warnings": "; ".join(self.warnings)}
         return facts | {"plant sha256": self.plant.system.digest()[:16]}
@@ -246,11 +247,20 @@ def to_dict(design: Design) -> dict[str, Any]:
         "verified_norm": design.verified_norm,
         "plant": {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in plant.items()},
         "plant_sha256": design.plant.system.digest(),
-        "info": asdict(design.info),
+        "info": {key: _written(value) for key, value in asdict(design.info).items()},
     }
     if design.shaping is not None:
         data["shaping"] = {name: _system_to_dict(getattr(design.shaping, name)) for name in SHAPING}
     return data
+
+
+def _written(value: Any) -> Any:
+    """A number that JSON has no word for in Python's words: a loop without poles has the slowest decay inf."""
+    return repr(value) if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _read(value: Any) -> Any:
+    return float(value) if value in ("inf", "-inf", "nan") else value
 
 
 def json_bytes(design: Design) -> bytes:
@@ -280,7 +290,8 @@ def from_dict(data: Any) -> Design:
     try:
         plant = GeneralizedPlant(**data["plant"])
         controller = _system_from_dict(data["controller"], data["dt"])
-        info = Info(**{**data["info"], "warnings": tuple(data["info"]["warnings"])})
+        about = {key: _read(value) for key, value in data["info"].items()}
+        info = Info(**{**about, "warnings": tuple(about["warnings"])})
         parts = data.get("shaping")
         shaping = None if parts is None else Shaping(*(_system_from_dict(parts[k], data["dt"]) for k in SHAPING))
         gamma, norm, digest = float(data["gamma"]), float(data["verified_norm"]), data["plant_sha256"]

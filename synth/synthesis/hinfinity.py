@@ -8,7 +8,8 @@ Methods
     "extended"  seed LMI (16), multiplier free        lmi/loops.py, lmi/hinf.py
     "auto"      "riccati"; where that is not certain also at other rates, and "lmi" up to order 20
 
-Continuous plants go through the Cayley map, which preserves the norm. Nothing unverified is returned.
+Continuous plants go through the Cayley map, which preserves the norm. A plant without states has an answer in closed
+form (`static.py`), whatever the method asked for. Nothing unverified is returned.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from synth.errors import InfeasibleError, ModelError, NumericalError, SynthError
 from synth.files import provenance
 from synth.synthesis.design import Design, Info
 from synth.synthesis.search import LARGEST_LMI, Candidate, Route, Search
+from synth.synthesis.static import static
 from synth.systems.generalized import GeneralizedPlant
 from synth.threads import one_thread
 
@@ -52,7 +54,7 @@ def hinfsyn(
     Parameters
     ----------
     P : GeneralizedPlant, or a system in any form that `system` takes, whose last inputs are u and last outputs y;
-        discrete or continuous; D11 and D22 may be nonzero
+        discrete or continuous; D11 and D22 may be nonzero; without states K is a gain, `info.method` is "parrott"
     nmeas, ncon : number of outputs y and inputs u; needed unless P is a GeneralizedPlant; `ncont` is MATLAB's name
     method : "auto", "riccati", "lmi", "standard" or "extended"
     gamma : a level to reach instead of the optimum; the LMI methods then return the analytic centre of what does
@@ -87,6 +89,8 @@ def hinfsyn(
     tol = as_number("tol", tol, "a relative distance from the optimum, 1e-3 for example", above=0)
     if gamma is not None:
         gamma = as_number("gamma", gamma, "a positive level, or None for the optimum", above=0)
+    if not len(plant.A):
+        return static(plant, gamma, tol, started)
     check_assumptions(plant)
     search = Search(plant, tol, make_route)
     if gamma is not None:
@@ -171,16 +175,14 @@ def _decays(poles: np.ndarray, dt: float) -> np.ndarray:
 
 
 def as_plant(P: Any, nmeas: int | None, ncon: int | None) -> GeneralizedPlant:
-    """Any accepted description as a GeneralizedPlant with at least one state."""
+    """Any accepted description as a GeneralizedPlant."""
     if not isinstance(P, GeneralizedPlant):
         if nmeas is None or ncon is None:
             raise ModelError(f"nmeas = {nmeas}, ncon = {ncon}; both are needed to split a plain system into w, u, z, y")
         P = GeneralizedPlant.partition(P, nmeas, ncon)
-    n, _, nu, _, ny = P.sizes
+    _, _, nu, _, ny = P.sizes
     if nmeas not in (None, ny) or ncon not in (None, nu):
         raise ModelError(f"nmeas = {nmeas}, ncon = {ncon} contradict the plant's {ny} measurements and {nu} controls")
-    if n == 0:
-        raise ModelError("the plant P has no states (A is empty); add the dynamics to be controlled")
     return P
 
 

@@ -11,6 +11,8 @@ Ks is an observer of the shaped plant with a state feedback, nu being what it di
     discrete     H = -(B D' + A Z C') (R + C Z C')^-1,
                  [S + B'Xg B] us = -(D'C + B'Xg A) x - (D' - B'Xg H) nu
 
+Without states the optimal level is 1, and Ks = -D' reaches it: [I; -D'] R^-1 [I, D] is a projection.
+
 The optimal level is sqrt(1 + rho(X Z)), or that of one semidefinite program (`lmi/coprime.py`); each checks the
 other. The gains rest on X and Z in either case. What leaves is stable and was measured to keep its level.
 
@@ -34,7 +36,7 @@ from synth.errors import InfeasibleError, ModelError, NumericalError, Verificati
 from synth.files import provenance
 from synth.synthesis.design import Design, Info, Shaping
 from synth.synthesis.hinfinity import slowest_pole
-from synth.systems.connect import check_dynamic, series
+from synth.systems.connect import series
 from synth.systems.sampled import apart, loop_moduli, on_circle
 from synth.systems.statespace import StateSpace, as_system, common_timebase, repeated
 from synth.threads import one_thread
@@ -87,7 +89,7 @@ def ncfsyn(
 
     Raises
     ------
-    ModelError : data that is no model, no states, weights that do not fit, `gamma_factor` not above 1.
+    ModelError : data that is no model, weights that do not fit, `gamma_factor` not above 1.
     AssumptionError : the shaped plant has an unstable mode that is not reached or not seen; names it.
     InfeasibleError : `gamma` is not above the optimal level, which is in `best`.
     NumericalError : the Riccati equations were not solved.
@@ -103,7 +105,6 @@ def ncfsyn(
     if gamma is not None:
         gamma = as_number("gamma", gamma, "a positive level, or None for gamma_factor times the optimum", above=0)
     W1, Gs, W2 = shaped(as_system("G", G), W1, W2)
-    check_dynamic("the shaped plant W2 G W1", Gs)
     plant = gang_of_four(Gs)
     check_assumptions(plant)
     riccati = solutions(Gs)
@@ -162,7 +163,7 @@ def optimal(G: StateSpace, riccati: Solutions, method: str) -> Optimum:
     """The optimal level of a plant by the method asked for, by the Riccati equations where that one fails."""
     reference = float(np.sqrt(1 + riccati.coupling))
     failures: dict[str, str] = {}
-    if method == "lmi":
+    if method == "lmi" and G.n:
         from synth.lmi.coprime import optimal_level
 
         # the program is best conditioned in the middle of the closed-loop poles

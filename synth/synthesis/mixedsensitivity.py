@@ -26,7 +26,7 @@ from synth.checks import as_number
 from synth.errors import AssumptionError, ModelError, VerificationError
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import TOLERANCE, hinfsyn, slowest_pole
-from synth.systems.connect import check_dynamic, feedback
+from synth.systems.connect import feedback
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace, as_system, common_timebase, repeated
 
@@ -130,7 +130,6 @@ def mixsyn(
     G = as_system("G", G)
     shift = as_number("shift", shift, "a rate in rad/s of at least 0, small beside the bandwidth", least=0)
     plant, moved = augw(G, W1, W2, W3), shifted(G, shift)
-    check_dynamic("the plant of G and its weights", plant.system)
     check_boundary(moved, shift)
     design = hinfsyn(augw(moved, W1, W2, W3), method=method, gamma=gamma, tol=tol)
     if shift == 0:

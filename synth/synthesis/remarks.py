@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from synth.analysis.stabilitymargins import Margins
-from synth.equations.hinf_riccati import parrott_parts
+from synth.equations.parrott import parrott_parts
 from synth.systems.generalized import GeneralizedPlant
 
 LEAST_GAIN = 6.0  # dB
@@ -39,7 +39,12 @@ def poor(m: Margins | None) -> Iterator[str]:
 
 
 def floored(P: GeneralizedPlant, gamma: float) -> Iterator[str]:
-    """A warning where the level is one that no controller changes, with the channel whose weight makes it."""
+    """A warning where the level is one that no controller changes, with the channel whose weight makes it.
+
+    A plant without states has no other level.
+    """
+    if not len(P.A):
+        return
     parts = parrott_parts(P)
     floor = max(float(np.linalg.norm(M, 2)) for M in parts)
     if not floor or gamma > NEAR_FLOOR * floor:

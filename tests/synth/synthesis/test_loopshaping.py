@@ -307,7 +307,6 @@ def test_hidden_unstable_modes_are_named():
         ((tf([1], [1, 1]), gain(1.0, 0.1)), {}, "timebases"),
         ((tf([1], [1, 1]), [[np.inf]]), {}, r"W1\[0, 0\] is inf"),
         (((np.full((1, 1), np.nan), [[1]], [[1]], [[0]]),), {}, r"A\[0, 0\] is nan"),
-        ((gain([[3.0, 1.0]]),), {}, "no states"),
     ],
 )
 def test_bad_input_is_named(arguments, options, message):
