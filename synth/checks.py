@@ -168,12 +168,36 @@ def as_sign(sign: Any) -> int:
 
 
 def as_timebase(dt: Any) -> float:
-    """Sampling time in seconds, 0 for continuous time."""
-    if isinstance(dt, bool) or dt is None:
+    """Sampling time in seconds, 0 for continuous time, True for discrete time of which nobody said the sampling time.
+
+    True counts as one: frequencies are then in rad/sample, times in samples. See `joint_timebase`, `check_period`.
+    """
+    if dt is True or (isinstance(dt, np.bool_) and dt):
+        return True
+    if isinstance(dt, bool | np.bool_) or dt is None:
         raise ModelError(
-            f"dt is {dt}: the timebase is unspecified; pass 0 (continuous) or the sampling time in seconds"
+            f"dt is {dt}: the timebase is unspecified; pass 0 (continuous), the sampling time in seconds, or True "
+            "(discrete, the sampling time unknown)"
         )
     return as_number("dt", dt, "0 (continuous) or a positive sampling time in seconds", least=0)
+
+
+def joint_timebase(a: float, b: float) -> float | None:
+    """The timebase of two systems together: True goes with every sampling time; None where they disagree."""
+    if a is True or b is True:
+        return None if a == 0 or b == 0 else b if a is True else a
+    return a if np.isclose(a, b, rtol=1e-12, atol=0) else None
+
+
+def check_period(name: str, dt: float) -> None:
+    """Raise ModelError for a sampling time that nobody said, where seconds are needed."""
+    if dt is True:
+        raise ModelError(f"{name} has dt = True, an unspecified sampling time; say it: system({name}, dt=0.1)")
+
+
+def timebase_told(dt: float) -> str:
+    """A timebase in words."""
+    return "dt = True (unspecified)" if dt is True else f"dt = {dt:g} s" if dt else "continuous"
 
 
 def as_period(dt: Any) -> float:

@@ -90,6 +90,8 @@ def table(rows: list[list[str]]) -> str:
 
 def number(value: float | None) -> str:
     """Five digits, or a dash for what was not measured."""
+    if value is True:  # a sampling time
+        return "unspecified"
     return "-" if value is None or np.isnan(value) else f"{value:.5g}"
 
 
@@ -157,7 +159,8 @@ def labels(names: tuple[str, ...], units: Any) -> list[str]:
 
 def timebase(dt: float) -> dict[str, Any]:
     """The sampling time, and in words."""
-    return {"dt": dt, "time": f"discrete, every {dt:g} s" if dt else "continuous"}
+    every = "at an unspecified sampling time" if dt is True else f"every {dt:g} s"
+    return {"dt": dt, "time": f"discrete, {every}" if dt else "continuous"}
 
 
 def verify(options: argparse.Namespace) -> int:
@@ -247,7 +250,7 @@ def acceptance_text(found: Any) -> str:
         rows.append([c.name, stable, number(c.norm), number(c.ratio), c.verdict, c.note])
     ending = "accepted" if found.passed else "NOT accepted"
     level = "norm not judged: no level known" if found.level is None else f"ratios to the level {found.level:.7g}"
-    return f"{table(rows)}\n{ending}; {level}, sampling time {found.dt:g} s"
+    return f"{table(rows)}\n{ending}; {level}, at {found.period}"
 
 
 def export(options: argparse.Namespace) -> int:

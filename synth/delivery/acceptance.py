@@ -32,7 +32,7 @@ import numpy as np
 
 from synth.analysis.norms import is_stable, verify
 from synth.analysis.stabilitymargins import Margins, margins
-from synth.checks import as_number, shown
+from synth.checks import as_number, shown, timebase_told
 from synth.delivery.simulation import RETURNED, horizon, short, simulate, starts
 from synth.errors import ExportError, ModelError, SynthError
 from synth.regulators.antiwindup import AntiWindup
@@ -42,6 +42,7 @@ from synth.systems.connect import delayed
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.sampled import c2d
 from synth.systems.statespace import StateSpace, as_system, common_timebase
+from synth.systems.timebase import retimed
 from synth.threads import one_thread
 
 EXACT = 1.01  # ratio of the norm up to which it is called kept, as in `hinfsyn`
@@ -120,8 +121,13 @@ class Acceptance:
     def verdict(self) -> str:
         """In one line, for the files of the controller."""
         failed, unknown = (", ".join(c.name for c in lines) for lines in (self.failed, self.not_judged))
-        text = f"{f'NOT accepted ({failed})' if failed else 'accepted'} at a sampling time of {self.dt:g} s"
+        text = f"{f'NOT accepted ({failed})' if failed else 'accepted'} at {self.period}"
         return text + (f"; not judged, no level known: {unknown}" if unknown else "")
+
+    @property
+    def period(self) -> str:
+        """The sampling time in words."""
+        return "an unspecified sampling time" if self.dt is True else f"a sampling time of {self.dt:g} s"
 
 
 @one_thread
@@ -185,7 +191,7 @@ def accept(
         lines.append(_measured("zero-order hold", P, K, level, None, "sampled, w held; controller by Tustin"))
     else:
         if dt is not None and not np.isclose(dt, P.dt):
-            raise ModelError(f"dt = {dt:g} s is given, but the design has one of {P.dt:g} s; leave dt away")
+            raise ModelError(f"dt = {shown(dt)} is given, but the design has {timebase_told(P.dt)}; leave dt away")
         lines.append(Condition("zero-order hold", first.passed is not False, note=HELD, required=False))
     held = next((c.norm for c in reversed(lines) if c.norm is not None), None)
     lines.append(_measured("one sample of delay", P, delayed(K), level, requirements.delay_ratio))
@@ -211,7 +217,8 @@ def _loop(design: Any, plant: Any) -> tuple[GeneralizedPlant, StateSpace, float 
             "the controller comes without a plant; pass a GeneralizedPlant (gang_of_four(G) for a plain G)"
         )
     K = design.controller if isinstance(design, Design) else as_system("the controller", design, plant.dt)
-    common_timebase(plant.system, K)
+    dt = common_timebase(plant.system, K)
+    plant, K = retimed(plant, dt), retimed(K, dt)
     _, _, m, _, p = plant.sizes
     if (K.ny, K.nu) != (m, p):
         raise ModelError(f"the controller is {K.ny} x {K.nu}; the plant needs {m} x {p} (controls x measurements)")

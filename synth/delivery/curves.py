@@ -111,6 +111,19 @@ def frequencies(*systems: StateSpace) -> np.ndarray:
     return np.geomspace(min(slowest * 10**-DECADES, 1e-3 * high), high, POINTS)
 
 
+def unit_of_time(systems: list[tuple[str | None, StateSpace]]) -> str:
+    """What times and frequencies are counted in: "s", or "sample" where nobody said the sampling time.
+
+    Raises
+    ------
+    ModelError : that of some is unspecified, and others have a timebase.
+    """
+    unspecified = {G.dt is True for _, G in systems}
+    if len(unspecified) > 1:
+        raise ModelError("one system has dt = True and another a timebase; say the sampling time: system(G, dt=0.1)")
+    return "sample" if True in unspecified else "s"
+
+
 def singular_values(G: StateSpace, omega: np.ndarray) -> np.ndarray:
     """Singular values of the frequency response at omega (N,) rad/s: (N, min(nu, ny)), largest first."""
     return np.array([np.linalg.svd(G.frequency_response(w), compute_uv=False) for w in omega])

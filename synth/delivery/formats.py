@@ -115,11 +115,13 @@ def _documents(design: Any, format: str, name: str, accepted: str) -> dict[str, 
 
 def _code(design: Any, format: str, name: str, self_test: bool, accepted: str, **options: Any) -> dict[str, bytes]:
     """The C files, or the FMU made of them."""
+    from synth.checks import check_period
     from synth.delivery.c import c_files
     from synth.delivery.origin import origin_of
     from synth.regulators.sequential import SequentialController
 
     controller = SequentialController.of(design, **options)
+    check_period("the controller", controller.dt)
     origin = origin_of(design, controller, accepted)
     if format == "c":
         return c_files(controller, origin, name, self_test=self_test)

@@ -10,7 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from synth.delivery.curves import axes_for, closing, light_grid, lines_style, nyquist_line, responses, shown
+from synth.delivery.curves import (
+    axes_for,
+    closing,
+    light_grid,
+    lines_style,
+    nyquist_line,
+    responses,
+    shown,
+    unit_of_time,
+)
 
 LEVELS = (-20, -12, -6, -3, -1, 0, 1, 3, 6, 12)  # dB, of the closed loop in a Nichols picture
 HEIGHT = 60.0  # dB, that a Nichols picture shows at most
@@ -52,7 +61,8 @@ def sigma(systems: Any, ax: Any = None, *, omega: Any = None, label: str | None 
             axes.plot(grid, values, **{"color": line.get_color(), **style})
     nyquist_line(axes, found)
     some = any(np.any(np.asarray(line.get_ydata()) > 0) for line in axes.lines)  # a zero has no logarithm
-    axes.set(xscale="log", yscale="log" if some else "linear", xlabel="frequency, rad/s", ylabel="singular values")
+    axes.set(xscale="log", yscale="log" if some else "linear", ylabel="singular values")
+    axes.set_xlabel(f"frequency, rad/{unit_of_time(found)}")
     light_grid(axes)
     _legend(axes, found)
     return axes
@@ -92,7 +102,7 @@ def bode(systems: Any, ax: Any = None, *, omega: Any = None, label: str | None =
             nyquist_line(each, found)
             light_grid(each)
     for each in axes[-1]:
-        each.set_xlabel("frequency, rad/s")
+        each.set_xlabel(f"frequency, rad/{unit_of_time(found)}")
     _legend(axes[0, 0], found)
     return axes[:, 0] if m == p == 1 else axes
 

@@ -26,7 +26,7 @@ def mat_bytes(design: Design, accepted: str = "") -> bytes:
     content = {
         "K": {name: np.asarray(data["controller"][name], dtype=float) for name in "ABCD"},
         "P": plant,
-        "dt": float(data["dt"]),
+        "dt": matlab_timebase(data["dt"]),
         "gamma": float(data["gamma"]),
         "verified_norm": float(data["verified_norm"]),
         "optimum": float("nan") if info["optimum"] is None else float(info["optimum"]),
@@ -47,6 +47,11 @@ def mat_bytes(design: Design, accepted: str = "") -> bytes:
     buffer = io.BytesIO()
     scipy.io.savemat(buffer, {"design": content}, oned_as="column", long_field_names=True)
     return buffer.getvalue()
+
+
+def matlab_timebase(dt: float) -> float:
+    """MATLAB's sampling time: -1 stands for an unspecified one."""
+    return -1.0 if dt is True else float(dt)
 
 
 def _cell(texts) -> np.ndarray:

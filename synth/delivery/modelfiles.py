@@ -197,5 +197,6 @@ def _from_mat(path: Path) -> GeneralizedPlant | Model:
     if "dt" in found:
         if found["dt"].size != 1:
             raise ModelError(f"dt has {found['dt'].size} entries; save one number")
-        found["dt"] = float(found["dt"].ravel()[0])
+        dt = float(found["dt"].ravel()[0])
+        found["dt"] = True if dt == -1 else dt  # as in MATLAB
     return as_model(found)

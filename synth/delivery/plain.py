@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import scipy.io
 
+from synth.delivery.matlab import matlab_timebase
 from synth.delivery.modelfiles import CONTROLLER, FORMAT_VERSION
 from synth.delivery.origin import origin_of
 from synth.regulators.antiwindup import AntiWindup
@@ -26,7 +27,9 @@ def json_bytes(source: Any) -> bytes:
 def mat_bytes(source: Any) -> bytes:
     """The content of the .mat file, one struct ``controller``; ``ss(A, B, C, D, dt)`` rebuilds the system."""
     buffer = io.BytesIO()
-    scipy.io.savemat(buffer, {"controller": _document(source)}, oned_as="column", long_field_names=True)
+    content = _document(source)
+    content["dt"] = matlab_timebase(content["dt"])
+    scipy.io.savemat(buffer, {"controller": content}, oned_as="column", long_field_names=True)
     return buffer.getvalue()
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from synth.delivery.curves import axes_for, light_grid, lines_style, shown
+from synth.delivery.curves import axes_for, light_grid, lines_style, shown, unit_of_time
 from synth.errors import ModelError
 from synth.systems.responses import Response, time_grid
 from synth.systems.statespace import StateSpace
@@ -115,6 +115,7 @@ def _responses(
     style: dict[str, Any],
 ) -> Any:
     """All responses on the same axes over the same time, one colour for each system."""
+    unit_of_time(found)
     end = time if time is not None else max(_settling(G, answer) for _, G in found)
     answers = [(name, answer(G, end)) for name, G in found]
     p, m = found[0][1].ny, found[0][1].nu

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import scipy.linalg as sla
 
-from synth.checks import as_limits, as_matrix, as_number, as_period, as_vector, as_whole
+from synth.checks import as_limits, as_matrix, as_number, as_period, as_vector, as_whole, check_period
 from synth.errors import ModelError, NumericalError
 from synth.predictive.parametriclp import ParametricLp, canonicalise
 from synth.systems.connect import check_dynamic
@@ -140,6 +140,7 @@ def fuel_mpc(
     model = as_system("model", model)
     if not model.discrete:
         raise ModelError(f"model has dt = {model.dt}; discretise it with c2d at the control period first")
+    check_period("model", model.dt)
     if model.D.any():
         raise ModelError("model has a direct term D; the outputs kept in a box are to be functions of the state")
     as_whole("horizon", horizon, "a whole number of samples, at least 1", least=1)

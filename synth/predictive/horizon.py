@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from synth.checks import as_choice, as_cost, as_limits, as_number, as_whole
+from synth.checks import as_choice, as_cost, as_limits, as_number, as_whole, check_period
 from synth.errors import ModelError, NumericalError
 from synth.predictive.parametricqp import CLARABEL_SETTINGS, ParametricQp, canonicalise
 from synth.systems.statespace import StateSpace, as_system
@@ -298,6 +298,7 @@ def mpc(
     n, m = model.n, model.nu
     if not model.discrete:
         raise ModelError(f"model has dt = {model.dt}; discretise it with c2d at the control period first")
+    check_period("model", model.dt)
     if not (np.array_equal(model.C, np.eye(n)) and not model.D.any()):
         raise ModelError(
             "model has outputs other than its state; pass C = I, D = 0 and feed the controller an estimate"

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from synth.checks import as_array, as_matrix, as_number, as_timebase, as_weight
+from synth.checks import as_array, as_matrix, as_number, as_timebase, as_weight, check_period
 from synth.errors import ModelError
 from synth.systems.statespace import StateSpace, as_system
 
@@ -73,6 +73,7 @@ class LinearController:
         K = as_system("K", K)
         if not K.discrete:
             raise ModelError(f"K has dt = {K.dt}: a sampled loop steps discrete controllers; convert it with c2d first")
+        check_period("K", K.dt)
         return cls(K.A, K.B, K.C, K.D, K.dt)
 
 

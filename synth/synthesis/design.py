@@ -19,7 +19,7 @@ import numpy as np
 
 from synth.analysis.norms import judge
 from synth.analysis.stabilitymargins import Margins, margins
-from synth.checks import as_path
+from synth.checks import as_path, timebase_told
 from synth.errors import ModelError, SynthError, VerificationError
 from synth.files import write_atomically
 from synth.synthesis.remarks import floored, poor, words
@@ -125,7 +125,7 @@ class Design:
 
     def __repr__(self) -> str:
         n, nu, ny = self.plant.sizes[0], self.controller.ny, self.controller.nu
-        dt = f"dt = {self.plant.dt:g} s" if self.plant.dt else "continuous"
+        dt = timebase_told(self.plant.dt)
         return (
             f"Design(order {self.controller.n} controller, {ny} measurements, {nu} controls, {dt}; plant order {n}\n"
             f"       gamma {self.gamma:.7g}, the verified norm, at {self.info.frequency:.4g} rad/s{self._claim},"
@@ -159,7 +159,7 @@ class Design:
     def facts(self) -> dict[str, str]:
         """The design at a glance, in words: what a card or a table shows of it."""
         facts = {"order": f"{self.controller.n} (plant {self.plant.sizes[0]})"}
-        facts |= {"sampling time": f"{self.plant.dt:g} s" if self.plant.dt else "continuous"}
+        facts |= {"sampling time": timebase_told(self.plant.dt).removeprefix("dt = ")}
         facts |= {"verified norm": f"{self.gamma:.7g}"}
         if self.info.optimum is not None:
             facts |= {"optimum claimed": f"{self.info.optimum:.7g}"}

@@ -29,6 +29,7 @@ from synth.synthesis.hinfinity import TOLERANCE, hinfsyn, slowest_pole
 from synth.systems.connect import feedback
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace, as_system, common_timebase, repeated
+from synth.systems.timebase import retimed
 
 NEAR = 1e-3  # relative to |A|, of a pole that may be on the boundary: rounding moves a triple one by 1e-5 |A|
 BOUNDARY = 1e-12  # relative to |A|, of the change of A that puts it there
@@ -54,6 +55,8 @@ def augw(G: Any, W1: Any = None, W2: Any = None, W3: Any = None) -> GeneralizedP
     O = np.zeros
     wanted = (("W1", W1, q), ("W2", W2, m), ("W3", W3, q))
     weights = [_weight(name, W, size, G) for name, W, size in wanted]
+    for W in weights:
+        G = retimed(G, common_timebase(G, W))
     if all(W.ny == 0 for W in weights):
         raise ModelError("W1, W2 and W3 are all None; pass at least one weight, or z would be empty")
     V1, V2, V3 = weights
@@ -129,7 +132,9 @@ def mixsyn(
     """
     G = as_system("G", G)
     shift = as_number("shift", shift, "a rate in rad/s of at least 0, small beside the bandwidth", least=0)
-    plant, moved = augw(G, W1, W2, W3), shifted(G, shift)
+    plant = augw(G, W1, W2, W3)
+    G = retimed(G, plant.dt)  # that of a weight
+    moved = shifted(G, shift)
     check_boundary(moved, shift)
     design = hinfsyn(augw(moved, W1, W2, W3), method=method, gamma=gamma, tol=tol)
     if shift == 0:

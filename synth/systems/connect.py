@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from synth.checks import as_array, as_whole
+from synth.checks import as_array, as_whole, check_period
 from synth.errors import ModelError
 from synth.systems.realization import loop_solve
 from synth.systems.statespace import StateSpace, as_systems
@@ -51,6 +51,8 @@ def input_delay(G: StateSpace, delay: Any) -> StateSpace:
             f"delay is {late.tolist()} s, which no continuous system of finite order has; sample the plant first "
             "(c2d, or `sample` in a study file), or put a Pade approximation into it"
         )
+    if late.any():
+        check_period("the plant", G.dt)
     samples = np.broadcast_to(late / G.dt, (G.nu,))
     whole = np.round(samples)
     if not np.allclose(samples, whole, rtol=0, atol=1e-6):

@@ -20,7 +20,7 @@ import scipy.linalg as sla
 from synth.checks import as_array, as_matrix, as_names, as_texts, as_timebase, as_units, as_weight, as_whole
 from synth.errors import ModelError
 from synth.systems.connect import lft, series
-from synth.systems.statespace import StateSpace, as_system, common_timebase, repeated
+from synth.systems.statespace import StateSpace, as_system, as_systems, common_timebase, repeated
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,4 +235,5 @@ def _beside(systems: Sequence[StateSpace]) -> StateSpace:
     """Systems that know nothing of each other, as one."""
     A, B, C, D = (np.asarray(sla.block_diag(*(getattr(G, name) for G in systems))) for name in "ABCD")
     n, (p, m) = sum(G.n for G in systems), D.shape
-    return StateSpace(A.reshape(n, n), B.reshape(n, m), C.reshape(p, n), D, systems[0].dt)
+    dt = as_systems(**{f"system {i}": G for i, G in enumerate(systems)})[0].dt
+    return StateSpace(A.reshape(n, n), B.reshape(n, m), C.reshape(p, n), D, dt)

@@ -44,7 +44,7 @@ class Response:
             draw(self.time, self.values[:, i, j], **({"where": "post"} if self.dt else {}), **style)
             axes[i, j].set(ylabel=self.y[i] if j == 0 else "", title=f"{self.kind} of {self.u[j]}" if i == 0 else "")
         for each in axes[-1]:
-            each.set_xlabel("time, s")
+            each.set_xlabel("samples" if self.dt is True else "time, s")
         return axes
 
 

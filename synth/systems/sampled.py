@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
-from synth.checks import as_choice, as_period
+from synth.checks import as_choice, as_period, timebase_told
 from synth.errors import ModelError
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.realization import Matrices, rescaled, state_scales
@@ -50,7 +50,7 @@ def c2d(G: Any, dt: float, method: str = "zoh") -> StateSpace:
     """
     G = as_system("G", G)
     if G.discrete:
-        raise ModelError(f"the system is already discrete (dt = {G.dt} s); c2d takes a continuous one")
+        raise ModelError(f"the system is already discrete ({timebase_told(G.dt)}); c2d takes a continuous one")
     dt = as_period(dt)
     as_choice("method", method, ("zoh", "tustin"))
     if G.n == 0:

@@ -1,6 +1,7 @@
 """Linear time-invariant systems x+ = A x + B u, y = C x + D u, as plain frozen data, and their algebra.
 
-The timebase `dt` is 0 for continuous time and the sampling time in seconds for discrete time. `as_system` (public name
+The timebase `dt` is 0 for continuous time and the sampling time in seconds for discrete time, or True where nobody said
+it: one sample is then the unit of time, until a system with a sampling time joins. `as_system` (public name
 `synth.system`) makes one of whatever users have; every function of the package calls it.
 """
 
@@ -31,6 +32,7 @@ from synth.systems import zeros as transmission
 from synth.systems.convert import fitted, parts
 from synth.systems.realization import Matrices, fraction, gain_at_rest, is_singular, loop_solve
 from synth.systems.responses import Response, impulse, step
+from synth.systems.timebase import common_timebase, retimed
 
 if TYPE_CHECKING:
     import control
@@ -54,7 +56,7 @@ class StateSpace:
     B: np.ndarray  # (n, m)
     C: np.ndarray  # (p, n)
     D: np.ndarray  # (p, m)
-    dt: float = 0.0  # s, 0 for continuous time
+    dt: float = 0.0  # s, 0 for continuous time, True for an unspecified sampling time
     u: tuple[str, ...] = ()  # (m) names of the inputs; u0, u1, ... when left out
     y: tuple[str, ...] = ()  # (p) names of the outputs; y0, y1, ... when left out
     units: Mapping[str, str] = field(default_factory=dict)  # name -> unit
@@ -163,6 +165,7 @@ class StateSpace:
         for M in (self.A, self.B, self.C, self.D, np.array(self.dt)):
             h.update(repr(M.shape).encode())
             h.update(np.ascontiguousarray(M, dtype="<f8").tobytes())
+        h.update(b"unspecified" * (self.dt is True))
         return h.hexdigest()
 
     def to_control(self) -> control.StateSpace:
@@ -210,7 +213,7 @@ class StateSpace:
         top = np.hstack([self.A, np.zeros((self.n, K.n + self.nu))]) + self.B @ V
         bottom = np.hstack([np.zeros((K.n, self.n)), K.A, np.zeros((K.n, self.nu))]) + K.B @ Y
         AB = np.vstack([top, bottom])
-        return StateSpace(AB[:, :n], AB[:, n:], Y[:, :n], Y[:, n:], self.dt, self.u, self.y, self.units)
+        return StateSpace(AB[:, :n], AB[:, n:], Y[:, :n], Y[:, n:], K.dt, self.u, self.y, self.units)
 
     def __getitem__(self, key: Any) -> StateSpace:
         """The system of some outputs and inputs, G[outputs, inputs]; by number, name, slice or list of them."""
@@ -229,7 +232,7 @@ class StateSpace:
         if (G.ny, G.nu) != (H.ny, H.nu):
             raise ModelError(f"a {G.ny} x {G.nu} and a {H.ny} x {H.nu} system cannot be added; sizes must agree")
         A = np.block([[G.A, np.zeros((G.n, H.n))], [np.zeros((H.n, G.n)), H.A]])
-        return replace(G, A=A, B=np.vstack([G.B, H.B]), C=np.hstack([G.C, H.C]), D=G.D + H.D)
+        return replace(G, A=A, B=np.vstack([G.B, H.B]), C=np.hstack([G.C, H.C]), D=G.D + H.D, dt=H.dt)
 
     def __radd__(self, other: Any) -> StateSpace:
         return self + other
@@ -248,7 +251,7 @@ class StateSpace:
         A = np.block([[H.A, np.zeros((H.n, G.n))], [G.B @ H.C, G.A]])
         B, C = np.vstack([H.B, G.B @ H.D]), np.hstack([G.D @ H.C, G.C])
         units = {n: H.units[n] for n in H.u if n in H.units} | {n: G.units[n] for n in G.y if n in G.units}
-        return StateSpace(A, B, C, G.D @ H.D, G.dt, H.u, G.y, units)
+        return StateSpace(A, B, C, G.D @ H.D, H.dt, H.u, G.y, units)
 
     def __rmul__(self, other: Any) -> StateSpace:
         return _operand(other, self) * self
@@ -300,8 +303,8 @@ def as_systems(**systems: Any) -> list[StateSpace]:
     base = next((dt for dt in own if dt is not None), None)
     found = [as_system(name, G, base) for name, G in systems.items()]
     for name, G in zip(list(systems)[1:], found[1:], strict=True):
-        common_timebase(found[0], G, (next(iter(systems)), name))
-    return found
+        found[0] = retimed(found[0], common_timebase(found[0], G, (next(iter(systems)), name)))
+    return [retimed(G, found[0].dt) for G in found]
 
 
 def system(*description: Any, dt: Any = None, u: Any = (), y: Any = (), units: Any = None) -> StateSpace:
@@ -319,7 +322,8 @@ def system(*description: Any, dt: Any = None, u: Any = (), y: Any = (), units: A
         - a mapping with these keys, or with zeros, poles, gain
         - a number, vector or matrix: a gain
 
-    dt : s, 0 for continuous time; needed by discrete transfer functions that do not say it, and for gains
+    dt : s, 0 for continuous time, True for an unspecified sampling time; needed by discrete transfer functions that do
+        not say it, and for gains; says the sampling time of a system that has an unspecified one
     u, y : names of inputs and outputs; those of the description when left out
     units : name -> unit
 
@@ -350,17 +354,12 @@ def system(*description: Any, dt: Any = None, u: Any = (), y: Any = (), units: A
     changes: dict[str, Any] = {key: names for key, names in named.items() if names}
     if changes or units is not None:
         changes["units"] = {} if units is None else units
-    if dt is not None and as_timebase(dt) != G.dt:
-        raise ModelError(f"the system has the timebase {G.dt} s and dt = {dt} was given; convert it with c2d")
+    if dt is not None:
+        timebase = as_timebase(dt)
+        G = retimed(G, timebase) if timebase else G
+        if timebase != G.dt or (timebase is True) != (G.dt is True):
+            raise ModelError(f"the system has the timebase {G.dt} s and dt = {dt} was given; convert it with c2d")
     return replace(G, **changes) if changes else G
-
-
-def common_timebase(G: StateSpace, K: StateSpace, names: tuple[str, str] | None = None) -> float:
-    """The timebase two systems share, or a ModelError."""
-    if not np.isclose(G.dt, K.dt, rtol=1e-12, atol=0):
-        which = f"{names[0]} and {names[1]}" if names else "the systems"
-        raise ModelError(f"{which} have timebases {G.dt} and {K.dt} s; convert one with c2d first")
-    return G.dt
 
 
 def check_loop(name: str, G: StateSpace, controller: str, K: StateSpace) -> None:
@@ -378,8 +377,7 @@ def _matched(name: str, value: Any, G: StateSpace, *, square: bool = False) -> S
         size = G.nu if square and G.ny == G.nu else 1
         value = as_array(name, value) * np.eye(size)
     K = as_system(name, value, G.dt)
-    common_timebase(G, K)
-    return K
+    return retimed(K, common_timebase(G, K))
 
 
 def _operand(other: Any, G: StateSpace, *, wide: bool = False) -> StateSpace:
