@@ -253,7 +253,7 @@ WRONG: dict[str, Any] = {
     "six entries": (1, 2, 3, 4, 5, 6),
     "measured response": control.frd([1.0, 2.0, 3.0], [0.1, 0.2, 0.3]),
     "improper": control.tf([1, 0, 0], [1, 1]),
-    "no timebase": control.ss([[0.5]], [[1]], [[1]], [[0]], True),
+    "no timebase": control.ss([[0.5]], [[1]], [[1]], [[0]], None),
     "SLICOT's five": (np.eye(2), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)), np.ones(4)),
     "unknown key": {"numerator": [1], "den": [1, 1]},
     "zero denominator": ([1.0], [0.0]),
