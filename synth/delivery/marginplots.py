@@ -8,7 +8,7 @@ import numpy as np
 
 from synth.analysis.diskmargins import DiskMargin, diskmargin, diskmargin_at
 from synth.checks import as_array
-from synth.delivery.curves import axes_for, frequencies, light_grid, lines_style, nyquist_line, shown
+from synth.delivery.curves import axes_for, frequencies, light_grid, lines_style, nyquist_line, shown, unit_of_time
 from synth.errors import ModelError
 from synth.systems.connect import feedback
 
@@ -58,7 +58,7 @@ def diskmarginplot(
         nyquist_line(each, found)
         light_grid(each)
     axes[0].set_title("borne by every channel at once, either way")
-    axes[1].set_xlabel("frequency, rad/s")
+    axes[1].set_xlabel(f"frequency, rad/{unit_of_time(found)}")
     if any(name for name, _ in found):
         axes[0].legend()
     return axes
