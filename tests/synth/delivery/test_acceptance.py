@@ -206,6 +206,7 @@ def test_a_bare_controller_has_no_level_to_keep(cubesat, accepted):
     told = accept(cubesat.controller, cubesat.plant, level=cubesat.gamma)
     assert [c.verdict for c in told.conditions] == [c.verdict for c in accept(cubesat).conditions]
     assert not lines(accept(cubesat.controller, cubesat.plant, level=cubesat.gamma / 2))["designed"].passed
+    assert accept(cubesat, cubesat.plant).level == cubesat.gamma
     late = accept(cubesat.controller, cubesat.plant, requirements=Requirements(delay_ratio=1.5))
     assert [c.name for c in late.not_judged] == ["designed", "one sample of delay"]
 

@@ -1,5 +1,6 @@
 """The predictive controller's program as C: compiled, it gives the command of the controller that was verified."""
 
+import ctypes
 import shutil
 import subprocess
 import sys
@@ -9,7 +10,7 @@ import pytest
 from exported import gcc
 from literature import cubesat_model
 
-from synth.delivery.solver import export_mpc
+from synth.delivery.solver import _wrapper, export_mpc
 from synth.errors import ExportError
 from synth.predictive.horizon import mpc
 
@@ -52,6 +53,43 @@ def test_the_compiled_program_gives_the_command(controller, tmp_path):
     assert not any(str(tmp_path).encode() in path.read_bytes() for path in paths)
     with pytest.raises(ExportError, match="exists; pass force=True"):
         export_mpc(controller, folder, name="attitude")
+
+
+STUB = """
+#include <math.h>
+typedef struct { double *v; } prim_t;
+typedef struct { int status; } info_t;
+static double solution[64];
+static prim_t prim = { solution };
+static info_t information = { 1 };
+static struct { prim_t *prim; info_t *info; } CPG_Result = { &prim, &information };
+static void cpg_set_solver_default_settings(void) {}
+static void cpg_set_solver_abstol(double t) { (void)t; }
+static void cpg_set_solver_reltol(double t) { (void)t; }
+static void cpg_update_phi(int i, double value) { solution[i % 64] = value > 1e100 ? NAN : 0.5; }
+static void cpg_solve(void) {}
+"""
+
+
+def test_what_is_no_number_leaves_the_command_as_it_was(controller, tmp_path):
+    """The wrapper beside a solver that gives half a unit, or NaN where a parameter is huge."""
+    if shutil.which("gcc") is None:
+        pytest.skip("gcc is not installed")
+    for name, content in _wrapper(controller, "attitude").items():
+        (tmp_path / name).write_bytes(content)
+    (tmp_path / "cpg_solve.h").write_text(STUB)
+    (tmp_path / "cpg_workspace.h").write_text("")
+    gcc("-std=c99", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared", tmp_path / "attitude.c", "-o", tmp_path / "a.so")
+    solve = ctypes.CDLL(str(tmp_path / "a.so")).attitude_solve
+    size = controller.problem.parameters["inputs"].stop
+    u = (ctypes.c_double * 3)(7.0, 8.0, 9.0)
+    for value in (np.nan, np.inf, -np.inf, 1e200):
+        phi = (ctypes.c_double * size)(*np.zeros(size))
+        phi[1] = value
+        assert solve(phi, u) == 1
+        assert list(u) == [7.0, 8.0, 9.0]
+    assert solve((ctypes.c_double * size)(*np.zeros(size)), u) == 0
+    np.testing.assert_allclose(u, 0.5 * controller.problem.unit)
 
 
 def test_without_the_generator_the_error_says_what_to_install(controller, tmp_path, monkeypatch):
