@@ -1,16 +1,14 @@
 """Proofs about H-infinity norms in ball arithmetic: what `certify` claims rests on this file and on Arb alone.
 
 Every number is a midpoint with a radius that encloses the exact result. Plants and controllers enter as the exact
-doubles they are; witnesses are doubles too, and a proof is a handful of products with them and one test,
+doubles they are; witnesses are doubles too, and a proof is a handful of products with them and one test of positive
+definiteness (`matrices`).
 
-    |K M K' - I| < 1  in the largest row sum  =>  M > 0,
-
-for a symmetric M and any K: an inverse Cholesky factor that came out of floating-point arithmetic will do.
-
-Upper bound: with P = (T T')^-1 the bounded real lemma says that the closed loop is stable with norm below g when
+Upper bound: with P = I + E > 0 in the coordinates T the bounded real lemma says that the closed loop is stable with
+norm below g when
 
     M = [T^-1 A T   T^-1 B / g]
-        [    C T           D / g]       satisfies  I - M'M > 0.
+        [    C T           D / g]       satisfies  diag(P, I) - M' diag(P, I) M > 0.
 
 Lower bound: suppose a controller of any order reaches a norm below g. Its closed loop has a storage function, the
 least of which over the controller's states is x'P x with P > 0: for every x and w, not both zero, there is a u with
@@ -27,22 +25,48 @@ close to the game Riccati solutions of both sides. There is no such controller i
 - P > X and Q > Y couple too strongly: X + d I <= P + d I <= g^2 Q^-1 + d I gives, as the inverse is monotone,
   (X + d I)^-1 >= Q (g^2 I + d Q)^-1 >= Y (g^2 I + d Y)^-1, which a vector refutes.
 
-D22 plays no part. Continuous systems are mapped by Cayley's transform, in balls as well.
+The other way up asks for no strict inequality, so that zeros on the stability boundary do not bar it. By (1) P >= f(P),
+where f(X)(x) is the largest over w of the least over u of x+'X x+ + |z|^2 - g^2 |w|^2. As f is monotone,
+0 <= f(0) <= f(f(0)) <= ... <= P. If D12 has full rank and there is such a controller, every one of these is found as
+the stationary point: the least over u is that of a positive definite form, and what is left of w is negative definite
+at P, so at all X <= P. So they are the iterates X <- H + A'X (I + G X)^-1 A of the game Riccati equation, and doubling
+in balls encloses the 2^k-th one: a composition of such maps is a map of this form wherever its inverses exist, which
+the balls prove, and two rational functions that are equal agree where both are defined. There is no such controller if
+an impulse gains at one of them, if two couple, or if the 2^k-th one is not above the one of half as many steps.
+That R = D'D - diag(g^2 I, 0) is invertible, which the balls prove, says that D12 has full rank.
 
-References: Rump (2006), BIT 46, 433, on positive definiteness; Lanzon, Feng, Anderson and Rotkowitz
-(2008), IEEE TAC 53, 2280, on the steps as an iteration; Johansson (2017), IEEE Trans. Computers 66, 1281, on Arb.
+D22 plays no part. Continuous systems are mapped by Cayley's transform, in balls as well, and discrete ones whose
+samples are short beside the time they take to another rate, which is the same map of the unit disk.
+
+E, and the sub-solutions, are sums of two doubles where one does not tell them from what is no solution: the
+inequalities leave out as little as 1e-20 of the cost, so that a mode that hardly decays costs nothing either.
+
+References: Lanzon, Feng, Anderson and Rotkowitz (2008), IEEE TAC 53, 2280, on the sub-solutions as an iteration; Chu,
+Fan, Lin and Wang (2004), Int. J. Control 77, 767, on doubling; Johansson (2017), IEEE Trans. Computers 66, 1281, on
+Arb.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 from flint import arb, arb_mat, ctx
 
+from synth.proof.matrices import (
+    block,
+    columns,
+    exact,
+    identity,
+    inverse_factor,
+    is_positive_definite,
+    is_small,
+    rows,
+    square,
+    symmetric,
+)
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace, common_timebase
 
@@ -72,9 +96,10 @@ class UpperWitness:
     """Coordinates in which one step of the closed loop contracts."""
 
     T: np.ndarray  # (n, n) states of plant and controller, x = T U x_new: T finds the size of things,
-    U: np.ndarray  # (n, n) U, not far from I, the last digits
-    factor: np.ndarray  # (n + nw, n + nw) nearly the inverse Cholesky factor of I - M'M
-    rate: float  # rad/s of the Cayley map, 0 for discrete time
+    U: np.ndarray  # (n, n) U, not far from I, more digits
+    rest: np.ndarray  # (n, n) E, the last digits
+    factor: np.ndarray  # (n + nw, n + nw) nearly the inverse Cholesky factor of the inequality
+    rate: float  # rad/s of the map to discrete time, 0 for discrete time as it is
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +107,8 @@ class Step:
     """From one sub-solution to the next, both for the same disturbance w = F x."""
 
     F: np.ndarray  # (nw, n)
-    X: np.ndarray  # (n, n) symmetric, the next one
+    X: np.ndarray  # (n, n) symmetric, the next one,
+    rest: np.ndarray  # (n, n) and its last digits: the next one is X + rest
     before: np.ndarray  # (n + nu, n + nu) nearly the inverse Cholesky factor of the inequality at the previous one
     after: np.ndarray  # (n + nu, n + nu) the same at the next one
 
@@ -106,16 +132,24 @@ class Impulse:
 
 
 @dataclass(frozen=True, eq=False)
+class Fall:
+    """A state whose cost is less after 2^k steps than after half as many, on one side."""
+
+    v: np.ndarray  # (n)
+    dual: bool  # whose side
+
+
+@dataclass(frozen=True, eq=False)
 class LowerWitness:
-    """Two ways up to what a controller below the level would not allow."""
+    """Two ways up to what a controller below the level would not allow: sub-solutions, or k for 2^k steps from zero."""
 
     T: np.ndarray  # (n, n) states of the plant, x = T x_new
     w: float  # factor on the gains from w
     z: float  # factor on the gains to z
-    rate: float  # rad/s of the Cayley map, 0 for discrete time
-    control: tuple[Step, ...]  # of the plant
-    estimation: tuple[Step, ...]  # of the dual plant
-    end: Coupling | Impulse
+    rate: float  # rad/s of the map to discrete time, 0 for discrete time as it is
+    control: tuple[Step, ...] | int  # of the plant
+    estimation: tuple[Step, ...] | int  # of the dual plant
+    end: Coupling | Impulse | Fall
 
 
 def proves_upper(P: GeneralizedPlant, K: StateSpace, witness: UpperWitness, level: float, bits: int) -> bool:
@@ -125,9 +159,12 @@ def proves_upper(P: GeneralizedPlant, K: StateSpace, witness: UpperWitness, leve
     with ctx.workprec(bits):
         try:
             M = contraction(closed_loop(P, K, witness.rate), exact(witness.T) * exact(witness.U), level)
+            E = symmetric(witness.rest)
+            left = dissipated(M, E)
         except (ZeroDivisionError, ValueError):  # a matrix that could be singular, shapes of another system
             return False
-        return bool(arb(level) > 0) and is_positive_definite(identity(M.ncols()) - M.transpose() * M, witness.factor)
+        ours = witness.rest.shape == witness.T.shape and bool(arb(level) > 0)
+        return ours and is_small(E) and is_positive_definite(left, witness.factor)
 
 
 def proves_lower(P: GeneralizedPlant, witness: LowerWitness, level: float, bits: int) -> bool:
@@ -140,9 +177,11 @@ def proves_lower(P: GeneralizedPlant, witness: LowerWitness, level: float, bits:
             return False
         try:
             control, estimation = in_coordinates(P, witness.T, witness.w, witness.z, witness.rate)
-            if isinstance(end, Impulse):
-                half, steps = (estimation, witness.estimation) if end.dual else (control, witness.control)
-                X = climb(half, steps, g)
+            if not isinstance(end, Coupling):
+                half, way = (estimation, witness.estimation) if end.dual else (control, witness.control)
+                if isinstance(end, Fall):
+                    return isinstance(way, int) and falls(half, way, end.v, g)
+                X = climb(half, way, g)
                 return X is not None and is_positive_definite(impulse(half, X, end.w, g), end.factor)
             X, Y = climb(control, witness.control, g), climb(estimation, witness.estimation, g)
             return X is not None and Y is not None and couples(X, Y, end, g)
@@ -150,11 +189,13 @@ def proves_lower(P: GeneralizedPlant, witness: LowerWitness, level: float, bits:
             return False
 
 
-def climb(half: Half, steps: Sequence[Step], g: arb) -> arb_mat | None:
-    """The last sub-solution, or None where a step is not proved."""
+def climb(half: Half, way: Sequence[Step] | int, g: arb) -> arb_mat | None:
+    """What P exceeds at the end of the way, or None where a step is not proved."""
+    if isinstance(way, int):
+        return list(iterates(half, way, g))[-1]
     X = exact(np.zeros((half.A.nrows(),) * 2))
-    for k, step in enumerate(steps):
-        new = symmetric(step.X)
+    for k, step in enumerate(way):
+        new = solution(step)
         given = k == 0 and not np.any(step.F)  # |C1 x + D12 u|^2 >= 0
         if not given and not is_positive_definite(subsolution(half, X, step.F, g), step.before):
             return None
@@ -162,6 +203,40 @@ def climb(half: Half, steps: Sequence[Step], g: arb) -> arb_mat | None:
             return None
         X = new
     return X
+
+
+def iterates(half: Half, count: int, g: arb) -> Iterator[arb_mat]:
+    """The first, second, fourth, ... 2^count-th iterate of the game Riccati equation from zero.
+
+    Raises
+    ------
+    ZeroDivisionError : a matrix that is inverted could be singular.
+    """
+    B, D = block([[half.B1, half.B2]]), block([[half.D11, half.D12]])
+    nw, nu, I = half.B1.ncols(), half.B2.ncols(), identity(half.A.nrows())
+    S, R = half.C1.transpose() * D, D.transpose() * D - exact(np.diag([1.0] * nw + [0.0] * nu)) * (g * g)
+    A, G = half.A - B * R.solve(S.transpose()), B * R.solve(B.transpose())
+    H = half.C1.transpose() * half.C1 - S * R.solve(S.transpose())
+    yield H
+    for _ in range(count):
+        E = I + G * H
+        A, G, H = (
+            A * E.solve(A),
+            G + A * E.solve(G) * A.transpose(),
+            H + A.transpose() * H * E.solve(A),
+        )
+        yield H
+
+
+def falls(half: Half, count: int, v: np.ndarray, g: arb) -> bool:
+    """True when v is proved to cost less after 2^count steps than after half as many."""
+    found, x = list(iterates(half, count, g)), exact(v[:, None])
+    return count > 0 and bool((x.transpose() * (found[-1] - found[-2]) * x)[0, 0] < 0)
+
+
+def solution(step: Step) -> arb_mat:
+    """The sub-solution to which a step leads."""
+    return symmetric(step.X) + symmetric(step.rest)
 
 
 def subsolution(half: Half, X: arb_mat, F: np.ndarray, g: arb) -> arb_mat:
@@ -197,7 +272,7 @@ def couples(X: arb_mat, Y: arb_mat, end: Coupling, g: arb) -> bool:
 def in_coordinates(P: GeneralizedPlant, T: np.ndarray, w: float, z: float, rate: float) -> tuple[Half, Half]:
     """The plant with x = T x_new and factors on w and z, mapped to discrete time, and its dual."""
     _, nw, nu, nz, ny = P.sizes
-    G = cayley(in_balls(P.system), rate)
+    G = mapped(in_balls(P.system), P.dt, rate)
     t, ws, zs = exact(T), arb(w), arb(z)
     A, B, C = t.inv() * G.A * t, t.inv() * G.B, G.C * t
     first, second = range(nw), range(nw, nw + nu)
@@ -221,22 +296,29 @@ def closed_loop(P: GeneralizedPlant, K: StateSpace, rate: float) -> Balls:
     A = [[exact(P.A) + B2 * Ux, B2 * Uk], [k.B * (C2 + D22 * Ux), k.A + k.B * D22 * Uk]]
     B = [[B1 + B2 * Uw], [k.B * (D21 + D22 * Uw)]]
     C, D = [[C1 + D12 * Ux, D12 * Uk]], D11 + D12 * Uw
-    return cayley(Balls(block(A), block(B), block(C), D), rate)
+    return mapped(Balls(block(A), block(B), block(C), D), P.dt, rate)
 
 
-def cayley(G: Balls, rate: float) -> Balls:
-    """Norm-preserving map to discrete time, s = rate (z - 1)/(z + 1), rate > 0; the system itself for rate 0."""
+def mapped(G: Balls, dt: float, rate: float) -> Balls:
+    """Norm-preserving map to the discrete time of `rate`; for rate 0 the system itself, which is discrete.
+
+    Cayley's s = rate (z - 1)/(z + 1) of continuous time; there and back again, at 2/dt and at `rate`, of discrete time.
+    """
     if rate == 0:
         return G
-    r = arb(rate)
-    I = identity(G.A.nrows())
-    E, root = r * I - G.A, (2 * r).sqrt()
-    return Balls(E.solve(r * I + G.A), E.solve(G.B) * root, G.C * E.inv() * root, G.D + G.C * E.solve(G.B))
+    r, I = arb(rate), identity(G.A.nrows())
+    if dt == 0:
+        E, root = r * I - G.A, (2 * r).sqrt()
+        return Balls(E.solve(r * I + G.A), E.solve(G.B) * root, G.C * E.inv() * root, G.D + G.C * E.solve(G.B))
+    own = 2 / arb(dt)
+    c = (r - own) / (r + own)
+    E, root = I + c * G.A, (1 - c * c).sqrt()
+    return Balls(E.solve(G.A + c * I), E.solve(G.B) * root, G.C * E.inv() * root, G.D - G.C * E.solve(G.B) * c)
 
 
 def is_rate(rate: float, dt: float) -> bool:
     """Whether systems with this timebase may be mapped at this rate."""
-    return rate > 0 if dt == 0 else rate == 0
+    return np.isfinite(rate) and (rate > 0 or (rate == 0 and dt > 0))
 
 
 def contraction(G: Balls, T: arb_mat, level: float) -> arb_mat:
@@ -245,70 +327,15 @@ def contraction(G: Balls, T: arb_mat, level: float) -> arb_mat:
     return block([[Ti * G.A * T, Ti * G.B * (1 / g)], [G.C * T, G.D * (1 / g)]])
 
 
-def is_positive_definite(M: arb_mat, factor: np.ndarray) -> bool:
-    """True when a symmetric M is proved positive definite by congruence with `factor`."""
-    n = M.nrows()
-    if factor.shape != (n, n):
-        return False
-    K = exact(factor)
-    E = K * M * K.transpose() - identity(n)
-    return all(bool(sum((abs(e) for e in row), arb(0)) < 1) for row in E.table())
-
-
-def inverse_factor(M: arb_mat) -> np.ndarray | None:
-    """Floating inverse Cholesky factor of a positive definite M, or None."""
-    F = rounded(M)
-    d = np.sqrt(np.maximum(np.diag(F), 0))
-    if not (np.isfinite(F).all() and d.all()):
-        return None
-    try:
-        return np.linalg.inv(np.linalg.cholesky((F + F.T) / 2 / d / d[:, None])) / d
-    except np.linalg.LinAlgError:
-        return None
+def dissipated(M: arb_mat, E: arb_mat) -> arb_mat:
+    """diag(I + E, I) - M' diag(I + E, I) M of the upper bound."""
+    n, paid = E.nrows(), identity(M.ncols()) - M.transpose() * M
+    AB = rows(M, range(n))
+    O = exact(np.zeros((n, M.ncols() - n)))
+    added = block([[E, O], [O.transpose(), exact(np.zeros((M.ncols() - n,) * 2))]])
+    return paid + added - AB.transpose() * E * AB
 
 
 def in_balls(G: StateSpace) -> Balls:
     """The system's doubles, exactly."""
     return Balls(exact(G.A), exact(G.B), exact(G.C), exact(G.D))
-
-
-def exact(M: np.ndarray) -> arb_mat:
-    """A matrix of doubles, exactly."""
-    p, q = M.shape
-    return arb_mat(p, q, M.ravel().tolist())
-
-
-def rounded(M: arb_mat) -> np.ndarray:
-    """The midpoints as doubles."""
-    return np.array([float(e.mid()) for e in M.entries()]).reshape(M.nrows(), M.ncols())
-
-
-def symmetric(M: np.ndarray) -> arb_mat:
-    """The symmetric part of a matrix of doubles, exactly."""
-    return (exact(M) + exact(M.T)) * arb(0.5)
-
-
-def identity(n: int) -> arb_mat:
-    """I of size n."""
-    return exact(np.eye(n))
-
-
-def block(parts: Sequence[Sequence[arb_mat]]) -> arb_mat:
-    """A matrix from rows of blocks."""
-    lines = [list(chain(*row)) for band in parts for row in zip(*(M.table() for M in band), strict=True)]
-    return arb_mat(len(lines), sum(M.ncols() for M in parts[0]), list(chain(*lines)))
-
-
-def rows(M: arb_mat, which: Sequence[int]) -> arb_mat:
-    """Some rows of M."""
-    return arb_mat(len(which), M.ncols(), [M[i, j] for i in which for j in range(M.ncols())])
-
-
-def columns(M: arb_mat, which: Sequence[int]) -> arb_mat:
-    """Some columns of M."""
-    return arb_mat(M.nrows(), len(which), [M[i, j] for i in range(M.nrows()) for j in which])
-
-
-def square(M: arb_mat) -> arb:
-    """Sum of the squares of all entries."""
-    return sum((e * e for e in M.entries()), arb(0))

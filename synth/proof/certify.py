@@ -7,33 +7,39 @@ are proved in ball arithmetic (`balls`), the plant's and the controller's data t
     lower   no controller of any order reaches a norm below this
 
 Witnesses are found in floating-point arithmetic (`witnesses`), which needs no rigour. The certificate holds them to
-the last bit, so that both bounds can be proved again by ball products alone, without a solver.
+the last bit, and the plant and the controller too, so that both bounds can be proved again from its file alone, in
+ball arithmetic and without a solver. The file is taken only as it was written, byte for byte of its data.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
-from synth.checks import as_number, as_path
+from synth.checks import as_number, as_path, as_whole, shown
 from synth.errors import ModelError, VerificationError
 from synth.files import write_atomically
 from synth.proof import balls
-from synth.proof.balls import Coupling, Impulse, LowerWitness, Step, UpperWitness
+from synth.proof.balls import Coupling, Fall, Impulse, LowerWitness, Step, UpperWitness
 from synth.proof.witnesses import find_lower, find_upper
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace
 
 FORMAT = "convex-synth certificate"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 BITS = 128
+MORE = 4  # times as many where that is not enough
 MAX_BITS = 4096  # accepted from a file
+MOST_DOUBLINGS = 64  # likewise
+NINE = ("A", "B1", "B2", "C1", "D11", "D12", "C2", "D21", "D22", "dt")
+FACTORS = ("before", "after")  # of a step
 MARGINS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # of the upper bound above the verified norm
 
 
@@ -69,6 +75,8 @@ class Certificate:
     note: str  # why there is no lower bound; empty when there is one
     upper_witness: UpperWitness
     lower_witness: LowerWitness | None
+    plant: GeneralizedPlant | None = None  # None in files of version 1
+    controller: StateSpace | None = None  # likewise; that which closes the plant, u = K y
 
     @property
     def gap(self) -> float:
@@ -85,13 +93,21 @@ class Certificate:
             + (lower if self.lower_witness else f"no lower bound proved ({self.note})")
         )
 
-    def check(self, plant: GeneralizedPlant, controller: StateSpace) -> None:
+    def check(self, plant: GeneralizedPlant | None = None, controller: StateSpace | None = None) -> None:
         """Prove both bounds again, from the witnesses alone.
+
+        Parameters
+        ----------
+        plant, controller : those that the certificate must be of; its own when left out
 
         Raises
         ------
+        ModelError : there is none to check with, as in files of version 1.
         VerificationError : the certificate is of another plant or controller, or a proof does not hold.
         """
+        plant, controller = plant or self.plant, controller or self.controller
+        if plant is None or controller is None:
+            raise ModelError("the certificate holds no plant and controller (version 1); pass those of the design")
         for name, system, digest in (
             ("plant", plant.system, self.plant_sha256),
             ("controller", controller, self.controller_sha256),
@@ -116,8 +132,9 @@ class Certificate:
         path = as_path("path", path)
         if path.suffix != ".json":
             raise ModelError(f"path ends with {path.suffix!r}; a certificate is saved as .json")
-        data = {"format": FORMAT, "format_version": FORMAT_VERSION, "statement": self.statement, **asdict(self)}
-        return write_atomically(path, json.dumps(data, allow_nan=False, default=np.ndarray.tolist).encode())
+        if self.plant is None or self.controller is None:
+            raise ModelError("the certificate holds no plant and controller (version 1); certify the design again")
+        return write_atomically(path, _text(to_dict(self)).encode())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Certificate:
@@ -127,22 +144,41 @@ class Certificate:
         ------
         ModelError : the file is no certificate or is incomplete.
         """
-        path = as_path("path", path)
-        try:
-            data = json.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise ModelError(
-                f"path {path.name!r} cannot be read ({error.strerror}); pass a file of Certificate.save"
-            ) from None
-        except (UnicodeDecodeError, json.JSONDecodeError) as error:
-            raise ModelError(f"{path.name} is not JSON ({error}); pass what Certificate.save wrote") from None
-        return from_dict(data)
+        return from_dict(_read(as_path("path", path)))
+
+
+def to_dict(certificate: Certificate) -> dict[str, Any]:
+    """The certificate as plain data, complete and exact, with a sha256 of all of it."""
+    data = asdict(replace(certificate, plant=None, controller=None))
+    P, K = certificate.plant, certificate.controller
+    data |= {"plant": {name: getattr(P, name) for name in NINE} if P else None}
+    data |= {"controller": {name: getattr(K, name) for name in ("A", "B", "C", "D", "dt")} if K else None}
+    head = {"format": FORMAT, "format_version": FORMAT_VERSION, "statement": certificate.statement}
+    return _sealed(json.loads(_text({**head, **data})))
+
+
+def _sealed(data: dict[str, Any]) -> dict[str, Any]:
+    """The data with the sha256 of all else in it."""
+    rest = {key: value for key, value in data.items() if key != "sha256"}
+    return {**rest, "sha256": hashlib.sha256(_text(rest).encode()).hexdigest()}
+
+
+def _text(data: dict[str, Any]) -> str:
+    return json.dumps(data, allow_nan=False, default=np.ndarray.tolist)
 
 
 def from_dict(data: Any) -> Certificate:
-    """The certificate in a file."""
-    if not isinstance(data, dict) or (data.get("format"), data.get("format_version")) != (FORMAT, FORMAT_VERSION):
-        raise ModelError(f"the data is no certificate of format {FORMAT_VERSION}; pass what Certificate.save wrote")
+    """The certificate in a file.
+
+    Raises
+    ------
+    ModelError : the data is no certificate, is incomplete, or is not what `to_dict` made.
+    """
+    version = data.get("format_version") if isinstance(data, dict) and data.get("format") == FORMAT else None
+    if version not in (1, FORMAT_VERSION) or isinstance(version, bool):
+        raise ModelError(
+            f"the data is no certificate of format 1 or {FORMAT_VERSION}; pass what Certificate.save wrote"
+        )
     try:
         certificate = Certificate(
             lower=float(data["lower"]),
@@ -154,46 +190,89 @@ def from_dict(data: Any) -> Certificate:
             note=str(data["note"]),
             upper_witness=_upper_from_dict(data["upper_witness"]),
             lower_witness=_lower_from_dict(data["lower_witness"]) if data["lower_witness"] else None,
+            plant=None if version == 1 else GeneralizedPlant(**{name: data["plant"][name] for name in NINE}),
+            controller=None if version == 1 else StateSpace(**_controller_data(data["controller"])),
         )
-    except (KeyError, TypeError, ValueError) as error:
+        bits = certificate.bits
+        if not 53 <= bits <= MAX_BITS:
+            raise ModelError(f"bits is {bits}; a certificate has 53 to {MAX_BITS}")
+        if version == FORMAT_VERSION and _text(to_dict(certificate)) != _text(data):
+            raise ModelError("the certificate is not as Certificate.save wrote it: something in it was changed")
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
+        if isinstance(error, ModelError):
+            raise
         raise ModelError(f"the certificate is incomplete or damaged: {error}") from None
-    if not 53 <= certificate.bits <= MAX_BITS:
-        raise ModelError(f"bits is {certificate.bits}; a certificate has 53 to {MAX_BITS}")
     return certificate
 
 
+def _controller_data(data: Any) -> dict[str, Any]:
+    return {name: data[name] for name in ("A", "B", "C", "D", "dt")}
+
+
 def _upper_from_dict(data: Any) -> UpperWitness:
-    return UpperWitness(as_array(data, "T"), as_array(data, "U"), as_array(data, "factor"), float(data["rate"]))
+    T, U, factor = (as_doubles(data, key) for key in ("T", "U", "factor"))
+    return UpperWitness(T, U, as_doubles(data, "rest", like=T), factor, float(data["rate"]))
 
 
 def _lower_from_dict(data: Any) -> LowerWitness:
     end = data["end"]
-    if "dual" in end:
-        last = Impulse(as_array(end, "w", 1), bool(end["dual"]), as_array(end, "factor"))
+    if "shift" in end:
+        last = Coupling(as_doubles(end, "v", 1), float(end["shift"]), as_doubles(end, "factor"))
+    elif "v" in end:
+        last = Fall(as_doubles(end, "v", 1), bool(end["dual"]))
     else:
-        last = Coupling(as_array(end, "v", 1), float(end["shift"]), as_array(end, "factor"))
+        last = Impulse(as_doubles(end, "w", 1), bool(end["dual"]), as_doubles(end, "factor"))
     return LowerWitness(
-        T=as_array(data, "T"),
+        T=as_doubles(data, "T"),
         w=float(data["w"]),
         z=float(data["z"]),
         rate=float(data["rate"]),
-        control=tuple(_step_from_dict(step) for step in data["control"]),
-        estimation=tuple(_step_from_dict(step) for step in data["estimation"]),
+        control=_way_from_dict(data["control"]),
+        estimation=_way_from_dict(data["estimation"]),
         end=last,
     )
 
 
+def _way_from_dict(data: Any) -> tuple[Step, ...] | int:
+    if isinstance(data, list):
+        return tuple(_step_from_dict(step) for step in data)
+    if isinstance(data, bool) or not isinstance(data, int) or not 0 <= data <= MOST_DOUBLINGS:
+        raise ValueError(f"a way up of {shown(data)}; it is a list of steps or the number of doublings")
+    return data
+
+
 def _step_from_dict(data: Any) -> Step:
-    return Step(**{key: as_array(data, key) for key in ("F", "X", "before", "after")})
+    X = as_doubles(data, "X")
+    return Step(as_doubles(data, "F"), X, as_doubles(data, "rest", like=X), *(as_doubles(data, k) for k in FACTORS))
 
 
-def as_array(data: Any, key: str, ndim: int = 2) -> np.ndarray:
-    """A vector or matrix of doubles from a file."""
+def as_doubles(data: Any, key: str, ndim: int = 2, like: np.ndarray | None = None) -> np.ndarray:
+    """A vector or matrix of doubles from a file; zeros `like` another one where version 1 has none."""
+    if like is not None and key not in data:
+        return np.zeros_like(like)
     M = np.array(data[key], float)
     M = np.zeros((0,) * ndim) if M.size == 0 else M
     if M.ndim != ndim:
         raise ValueError(f"{key} has {M.ndim} dimensions where {ndim} are needed")
     return M
+
+
+def _read(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_once)
+    except OSError as error:
+        raise ModelError(
+            f"path {path.name!r} cannot be read ({error.strerror}); pass a file of Certificate.save"
+        ) from None
+    except (ValueError, RecursionError) as error:
+        raise ModelError(f"{path.name} is not JSON ({error}); pass what Certificate.save wrote") from None
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A mapping that says nothing twice."""
+    if len(found := dict(pairs)) != len(pairs):
+        raise ValueError("a key is given twice")
+    return found
 
 
 def certify(
@@ -205,16 +284,17 @@ def certify(
     ----------
     design : of a discrete or continuous plant; of a loop-shaping design the shaped plant and Ks are certified
     lower, upper : levels to prove; when left out the tightest of a few near the optimum and the verified norm
-    bits : precision of the ball arithmetic
+    bits : precision of the ball arithmetic, which is made four times as much where that is not enough
 
     Returns
     -------
-    Certificate : with `lower` 0, and the reason in `note`, where the method proves no lower bound: the optimum is zero,
-        or the plant has a zero on the stability boundary (in continuous time also D12 or D21 of deficient rank).
+    Certificate : with `lower` 0, and what is known of the reason in `note`, where no lower bound was proved: the
+        optimum is zero, or the plant has a zero on the stability boundary, or simply none was found.
 
     Raises
     ------
-    ModelError : a level that is no positive number, or a plant without states.
+    ModelError : `design` is none, a level is no positive number, `bits` is not between 53 and 4096, or the plant has no
+        states.
     VerificationError : the upper bound, or a lower bound that was asked for, was not proved.
 
     References
@@ -223,28 +303,42 @@ def certify(
     `synth.proof.balls`.
     """
     started = time.perf_counter()
+    if not all(hasattr(design, name) for name in ("plant", "gamma", "closing")):
+        raise ModelError(f"design is {shown(design)}; pass what hinfsyn or another synthesis returned")
     if lower is not None:
         lower = as_number("lower", lower, "a positive level to prove that nothing reaches it", above=0)
     if upper is not None:
         upper = as_number("upper", upper, "a positive level to prove the controller below", above=0)
+    bits = as_whole("bits", bits, f"a precision from 53 to {MAX_BITS}", least=53, most=MAX_BITS)
+    precisions = (bits, min(MORE * bits, MAX_BITS))
     P, K = design.plant, design.closing
     if not len(P.A):
         raise ModelError("the plant has no states, and its optimum is in closed form; certify proves levels of loops")
     levels = [upper] if upper is not None else [design.gamma * (1 + m) for m in MARGINS]
-    above = next(((g, found) for g in levels if (found := find_upper(P, K, g, bits))), None)
+    attempts = ((g, b, find_upper(P, K, g, b)) for g in levels for b in precisions)
+    above = next(((g, b, found) for g, b, found in attempts if found), None)
     if above is None:
         raise VerificationError(f"it was not proved that the norm is below {levels[-1]:.9g}")
-    below, note = find_lower(P, above[0], lower, bits)
+    below, note, used = None, "", bits
+    for used in precisions:
+        below, note = find_lower(P, above[0], lower, used)
+        if below is not None:
+            break
     if below is None and lower is not None:
         raise VerificationError(f"it was not proved that no controller reaches {lower:.9g}: {note}")
-    return Certificate(
+    certificate = Certificate(
         lower=below[0] if below else 0.0,
         upper=above[0],
-        bits=bits,
+        bits=max(above[1], used) if below else above[1],
         plant_sha256=P.system.digest(),
         controller_sha256=K.digest(),
         seconds=time.perf_counter() - started,
         note=note,
-        upper_witness=above[1],
+        upper_witness=above[2],
         lower_witness=below[1] if below else None,
+        plant=P,
+        controller=K,
     )
+    if below and above[1] != used:  # one of them was proved with fewer bits
+        certificate.check()
+    return certificate

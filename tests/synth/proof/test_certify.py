@@ -136,7 +136,7 @@ def test_zero_on_the_stability_boundary_gets_no_lower_bound_and_says_so():
     with pytest.raises(VerificationError, match="without a witness"):
         replace(c, lower=0.05).check(P, design.controller)
     with pytest.raises(VerificationError, match="stability boundary"):
-        certify(design, lower=0.05)
+        certify(design, lower=0.1)
 
 
 def test_loop_shaping_designs_certify_the_shaped_plant():
