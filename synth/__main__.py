@@ -1,4 +1,4 @@
-"""The `synth` command: look into controller files, accept, export, compare and design. `synth --help` says more.
+"""The `synth` command: look into files, accept, prove, export, compare and design. `synth --help` says more.
 
 Only `argparse` is imported here: help is instant. What a command does is in `synth.command.commands`.
 """
@@ -12,7 +12,7 @@ import sys
 EPILOG = """\
 exit codes:
   0    done, and everything required is met
-  1    a controller fails its verification, or a requirement is missed
+  1    a controller fails its verification, a proof does not hold, or a requirement is missed
   2    bad input: options, files, models, or a controller that cannot leave in this form
   3    no controller exists: an assumption fails, or the level asked for cannot be reached
   4    no route to a solution worked (numerical trouble)
@@ -71,10 +71,14 @@ def make_parser() -> argparse.ArgumentParser:
         return sub
 
     info = command("info", "say what is in a file: order, channels, gamma, verified norm, provenance")
-    info.add_argument("files", nargs="+", metavar="FILE", help="design, controller or plant (.json, .mat)")
+    info.add_argument("files", nargs="+", metavar="FILE", help="design, controller, plant or certificate (.json, .mat)")
 
-    verify = command("verify", "acceptance gate: hold, delay, saturation, float32 and margins, measured again")
-    verify.add_argument("files", nargs="+", metavar="FILE", help="design (.json), or controller with --plant")
+    verify = command(
+        "verify", "acceptance gate: hold, delay, saturation, float32 and margins, measured again; or a certificate, "
+        "proved again",
+    )  # fmt: skip
+    verify.add_argument("files", nargs="+", metavar="FILE", help="design, controller with --plant, or certificates")
+    verify.add_argument("--design", metavar="FILE", help="with a certificate: whether it is of this design")
     verify.add_argument("--plant", metavar="FILE", help="generalised plant, or plain plant (its four-block norm)")
     verify.add_argument("--negative", action="store_true", help="with a plain --plant: the controller acts on r - y")
     verify.add_argument("--level", type=float, metavar="X", help="norm promised; a design on its own plant knows it")
@@ -89,6 +93,14 @@ def make_parser() -> argparse.ArgumentParser:
         ("disk-margin", "alpha, all loops at once (default 0.34; 0 asks nothing)"), ("ncf-margin", "0 to 1"),
     ):  # fmt: skip
         verify.add_argument(f"--{option}", type=float, metavar="X", help=f"require: {unit}")
+
+    certify = command("certify", "prove both bounds of a design's norm in ball arithmetic, and save the certificate")
+    certify.add_argument("files", nargs=1, metavar="FILE", help="design (.json)")
+    certify.add_argument("-o", "--output", metavar="FILE", help="certificate; default DESIGN.certificate.json")
+    certify.add_argument("--lower", type=float, metavar="X", help="level to prove that no controller reaches it")
+    certify.add_argument("--upper", type=float, metavar="X", help="level to prove the controller below")
+    certify.add_argument("--bits", type=int, metavar="N", help="precision to begin with (default 128)")
+    certify.add_argument("--force", action="store_true", help="replace a file that exists")
 
     export = command("export", "write a controller for elsewhere: C99, FMU, MATLAB, JSON")
     export.add_argument("files", nargs=1, metavar="FILE", help="design or controller (.json)")

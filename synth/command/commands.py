@@ -41,7 +41,9 @@ OPTIONS = {"force=True": "--force", "allow_unstable=True": "--allow-unstable"}  
 
 def run(options: argparse.Namespace) -> int:
     """Run the command that was asked for; returns its exit code."""
-    commands = {"info": info, "verify": verify, "export": export, "compare": compare, "design": design}
+    commands = {
+        "info": info, "verify": verify, "certify": certify, "export": export, "compare": compare, "design": design
+    }  # fmt: skip
     try:
         return commands[options.command](options)
     except BrokenPipeError:
@@ -97,7 +99,9 @@ def number(value: float | None) -> str:
 
 def info(options: argparse.Namespace) -> int:
     """`synth info`."""
-    found = [{"file": file, **facts(load(file))} for file in options.files]
+    from synth.command.certificates import claims, is_certificate
+
+    found = [{"file": file, **(claims(file) if is_certificate(file) else facts(load(file)))} for file in options.files]
     if options.json:
         print_json(found)
         return DONE
@@ -165,6 +169,14 @@ def timebase(dt: float) -> dict[str, Any]:
 
 def verify(options: argparse.Namespace) -> int:
     """`synth verify`."""
+    from synth.command import certificates
+
+    if any(map(certificates.is_certificate, options.files)):
+        data, text = certificates.verify(options, load)
+        print_json(data) if options.json else print(text)
+        return DONE
+    if options.design is not None:
+        raise ModelError("--design is about certificates; none is given")
     from synth.delivery.acceptance import Acceptance, Requirements, accept
 
     given = {f.name: getattr(options, f.name) for f in fields(Requirements)}
@@ -193,6 +205,15 @@ def verify(options: argparse.Namespace) -> int:
     else:
         print("\n\n".join(f"{file}\n{acceptance_text(a)}" for file, a in found.items()))
     return DONE if all(a.passed for a in found.values()) else MISSED
+
+
+def certify(options: argparse.Namespace) -> int:
+    """`synth certify`."""
+    from synth.command import certificates
+
+    data, text = certificates.certify(options, load)
+    print_json(data) if options.json else print(text)
+    return DONE
 
 
 def plant_of(item: Any, file: str, negative: bool) -> GeneralizedPlant:

@@ -1,0 +1,116 @@
+"""`synth certify`, and what `synth verify` does with the certificates that it writes: it proves them again."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from synth.delivery.acceptance import Requirements
+from synth.errors import ModelError, SynthError
+from synth.proof.certify import BITS, FORMAT, Certificate
+from synth.proof.certify import certify as prove
+from synth.synthesis.design import Design
+
+GATE = ("plant", "negative", "dt", "umin", "umax", "antiwindup", *(f.name for f in fields(Requirements)))
+Load = Callable[[str], Any]  # reads a file that is no certificate
+SUFFIX = ".certificate.json"
+
+
+def certify(options: argparse.Namespace, load: Load) -> tuple[dict[str, Any], str]:
+    """The certificate of the design in a file is found and saved; returns what it claims, as data and in words."""
+    file = options.files[0]
+    target = Path(options.output) if options.output else Path(file).with_suffix(SUFFIX)
+    if target.suffix != ".json":
+        raise ModelError(f"{target}: a certificate is saved as .json")
+    if target.is_dir() or not target.parent.is_dir():
+        raise ModelError(f"{target}: {'this is a folder' if target.is_dir() else 'its folder does not exist'}")
+    if target.exists() and not options.force:
+        raise ModelError(f"{target}: the file exists; pass --force to replace it, or another -o")
+    bits = BITS if options.bits is None else options.bits
+    found = prove(of_design(file, load), lower=options.lower, upper=options.upper, bits=bits)
+    found.save(target)
+    note = f"\n  no lower bound was proved: {found.note}" if found.note else ""
+    data = {"file": str(target), **facts(found), "note": found.note}
+    return data, f"{text(found)}{note}\nproved; saved as {target}"
+
+
+def verify(options: argparse.Namespace, load: Load) -> tuple[list[dict[str, Any]], str]:
+    """Certificates are proved again, of the plant and controller that they hold or of a design; returns likewise."""
+    if given := [name for name in GATE if getattr(options, name) not in (None, False)]:
+        listed = ", ".join(f"--{name.replace('_', '-')}" for name in given)
+        raise ModelError(f"{listed} means nothing for a certificate; verify controllers on their own")
+    if others := [file for file in options.files if not is_certificate(file)]:
+        raise ModelError(f"{others[0]}: this is no certificate; verify controllers on their own")
+    design = None if options.design is None else of_design(options.design, load)
+    found = {file: read(file) for file in options.files}
+    for file, certificate in found.items():
+        try:
+            if design is None:
+                certificate.check()
+            else:
+                certificate.check(design.plant, design.closing)
+        except SynthError as error:
+            error.args = (f"{file}: {error}",)
+            raise
+    ending = "proved again" + (f", of {options.design}" if design else "")
+    data = [{"file": file, "proved": True, "design": options.design, **facts(c)} for file, c in found.items()]
+    return data, "\n\n".join(f"{file}\n{text(c)}\n{ending}" for file, c in found.items())
+
+
+def is_certificate(file: str) -> bool:
+    """True when a file begins as `Certificate.save` writes it."""
+    if not Path(file).is_file():
+        return False
+    with open(file, "rb") as opened:
+        return FORMAT.encode() in opened.read(64)
+
+
+def of_design(file: str, load: Load) -> Design:
+    """The design in a file."""
+    design = load(file)
+    if not isinstance(design, Design):
+        raise ModelError(f"{file}: this is no design; pass what `synth design` or Design.save wrote")
+    return design
+
+
+def read(file: str) -> Certificate:
+    """`Certificate.load` with the file's name in front of what is wrong."""
+    try:
+        return Certificate.load(file)
+    except SynthError as error:
+        error.args = (f"{file}: {error}",)
+        raise
+
+
+def claims(file: str) -> dict[str, Any]:
+    """What a certificate claims, without a proof."""
+    return {"kind": "certificate", **facts(read(file)), "proved": "not here; synth verify proves it again"}
+
+
+def facts(certificate: Certificate) -> dict[str, Any]:
+    """What a certificate claims; its note is no claim."""
+    return {
+        "upper": certificate.upper,
+        "lower": certificate.lower or None,
+        "gap": certificate.gap,
+        "bits": certificate.bits,
+        "plant_sha256": certificate.plant_sha256,
+        "controller_sha256": certificate.controller_sha256,
+    }
+
+
+def text(certificate: Certificate) -> str:
+    """The claims in words."""
+    lower = f"no controller of any order reaches a norm below {certificate.lower!r}"
+    return "\n".join(
+        (
+            f"  the controller stabilises the plant with an H-infinity norm below {certificate.upper!r}",
+            f"  {lower if certificate.lower_witness else 'nothing is claimed about other controllers'}",
+            f"  in {certificate.bits}-bit ball arithmetic, all data taken as exact doubles",
+            f"  plant       {certificate.plant_sha256}",
+            f"  controller  {certificate.controller_sha256}",
+        )
+    )
