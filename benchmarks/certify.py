@@ -24,7 +24,8 @@ from literature import cubesat_pecorilla2024, mass_spring_chain
 
 from synth import hinfsyn
 from synth.proof.certify import BITS, MARGINS, certify
-from synth.proof.witnesses import find_lower, find_upper
+from synth.proof.lower import find_lower
+from synth.proof.upper import find_upper
 
 
 def seconds(call, repeats: int) -> float:

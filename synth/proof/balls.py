@@ -25,15 +25,16 @@ close to the game Riccati solutions of both sides. There is no such controller i
 - P > X and Q > Y couple too strongly: X + d I <= P + d I <= g^2 Q^-1 + d I gives, as the inverse is monotone,
   (X + d I)^-1 >= Q (g^2 I + d Q)^-1 >= Y (g^2 I + d Y)^-1, which a vector refutes.
 
-The other way up asks for no strict inequality, so that zeros on the stability boundary do not bar it. By (1) P >= f(P),
-where f(X)(x) is the largest over w of the least over u of x+'X x+ + |z|^2 - g^2 |w|^2. As f is monotone,
-0 <= f(0) <= f(f(0)) <= ... <= P. If D12 has full rank and there is such a controller, every one of these is found as
-the stationary point: the least over u is that of a positive definite form, and what is left of w is negative definite
-at P, so at all X <= P. So they are the iterates X <- H + A'X (I + G X)^-1 A of the game Riccati equation, and doubling
-in balls encloses the 2^k-th one: a composition of such maps is a map of this form wherever its inverses exist, which
-the balls prove, and two rational functions that are equal agree where both are defined. There is no such controller if
-an impulse gains at one of them, if two couple, or if the 2^k-th one is not above the one of half as many steps.
-That R = D'D - diag(g^2 I, 0) is invertible, which the balls prove, says that D12 has full rank.
+From the last sub-solution, 0 when there is none, on to what no strict inequality leads to, as where a zero is on the
+stability boundary: by (1) P >= f(P), where f(X)(x) is the largest over w of the least over u of x+'X x+ + |z|^2 - g^2
+|w|^2. As f is monotone, and X a sub-solution, X <= f(X) <= f(f(X)) <= ... <= P. If there is such a controller, every
+one of these is found as the stationary point: the least over u is that of a positive definite form, D12'D12 + B2'X B2
+(a block of the sub-solution's inequality; for X = 0 of R below, which would be singular otherwise), and what is left of
+w is negative definite at P, so at all that is less. So they are X + H, H <- H0 + A'H (I + G H)^-1 A from 0, the game
+Riccati equation shifted by X, and doubling in balls encloses the 2^k-th: a composition of such maps is a map of this
+form wherever its inverses exist, which the balls prove, and rational functions that are equal agree where both are
+defined. There is no such controller if an impulse gains there, if both sides couple, or if the 2^k-th is not above the
+one of half as many steps.
 
 D22 plays no part. Continuous systems are mapped by Cayley's transform, in balls as well, and discrete ones whose
 samples are short beside the time they take to another rate, which is the same map of the unit disk.
@@ -50,6 +51,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -133,7 +135,7 @@ class Impulse:
 
 @dataclass(frozen=True, eq=False)
 class Fall:
-    """A state whose cost is less after 2^k steps than after half as many, on one side."""
+    """A state whose cost is less after 2^k iterations than after half as many, on one side."""
 
     v: np.ndarray  # (n)
     dual: bool  # whose side
@@ -141,15 +143,16 @@ class Fall:
 
 @dataclass(frozen=True, eq=False)
 class LowerWitness:
-    """Two ways up to what a controller below the level would not allow: sub-solutions, or k for 2^k steps from zero."""
+    """Two ways up to what a controller below the level would not allow."""
 
     T: np.ndarray  # (n, n) states of the plant, x = T x_new
     w: float  # factor on the gains from w
     z: float  # factor on the gains to z
     rate: float  # rad/s of the map to discrete time, 0 for discrete time as it is
-    control: tuple[Step, ...] | int  # of the plant
-    estimation: tuple[Step, ...] | int  # of the dual plant
+    control: tuple[Step, ...]  # of the plant
+    estimation: tuple[Step, ...]  # of the dual plant
     end: Coupling | Impulse | Fall
+    doubled: tuple[int, int] = (0, 0)  # k of control and of estimation: from there on 2^(k-1) iterations, 0 for none
 
 
 def proves_upper(P: GeneralizedPlant, K: StateSpace, witness: UpperWitness, level: float, bits: int) -> bool:
@@ -177,24 +180,32 @@ def proves_lower(P: GeneralizedPlant, witness: LowerWitness, level: float, bits:
             return False
         try:
             control, estimation = in_coordinates(P, witness.T, witness.w, witness.z, witness.rate)
-            if not isinstance(end, Coupling):
-                half, way = (estimation, witness.estimation) if end.dual else (control, witness.control)
-                if isinstance(end, Fall):
-                    return isinstance(way, int) and falls(half, way, end.v, g)
-                X = climb(half, way, g)
-                return X is not None and is_positive_definite(impulse(half, X, end.w, g), end.factor)
-            X, Y = climb(control, witness.control, g), climb(estimation, witness.estimation, g)
-            return X is not None and Y is not None and couples(X, Y, end, g)
+            ways = (control, witness.control, witness.doubled[0]), (estimation, witness.estimation, witness.doubled[1])
+            if isinstance(end, Coupling):
+                X, Y = (climb(*way, g) for way in ways)
+                return X is not None and Y is not None and couples(X.last, Y.last, end, g)
+            way = ways[1 if end.dual else 0]
+            X = climb(*way, g)
+            if X is None:
+                return False
+            if isinstance(end, Fall):
+                return way[2] > 0 and falls(X, end.v)
+            return is_positive_definite(impulse(way[0], X.last, end.w, g), end.factor)
         except (ZeroDivisionError, ValueError):
             return False
 
 
-def climb(half: Half, way: Sequence[Step] | int, g: arb) -> arb_mat | None:
+class Reached(NamedTuple):
+    """What P exceeds at the end of a way, and with half as many iterations."""
+
+    half: arb_mat
+    last: arb_mat
+
+
+def climb(half: Half, steps: Sequence[Step], doubled: int, g: arb) -> Reached | None:
     """What P exceeds at the end of the way, or None where a step is not proved."""
-    if isinstance(way, int):
-        return list(iterates(half, way, g))[-1]
     X = exact(np.zeros((half.A.nrows(),) * 2))
-    for k, step in enumerate(way):
+    for k, step in enumerate(steps):
         new = solution(step)
         given = k == 0 and not np.any(step.F)  # |C1 x + D12 u|^2 >= 0
         if not given and not is_positive_definite(subsolution(half, X, step.F, g), step.before):
@@ -202,36 +213,35 @@ def climb(half: Half, way: Sequence[Step] | int, g: arb) -> arb_mat | None:
         if not is_positive_definite(subsolution(half, new, step.F, g), step.after):
             return None
         X = new
-    return X
+    reached = Reached(X, X)
+    for found in islice(iterates(half, X, g), doubled):
+        reached = Reached(reached.last, found)
+    return reached
 
 
-def iterates(half: Half, count: int, g: arb) -> Iterator[arb_mat]:
-    """The first, second, fourth, ... 2^count-th iterate of the game Riccati equation from zero.
+def iterates(half: Half, X: arb_mat, g: arb) -> Iterator[arb_mat]:
+    """The first, second, fourth, ... iterate of the game Riccati equation from X, without end.
 
     Raises
     ------
     ZeroDivisionError : a matrix that is inverted could be singular.
     """
     B, D = block([[half.B1, half.B2]]), block([[half.D11, half.D12]])
-    nw, nu, I = half.B1.ncols(), half.B2.ncols(), identity(half.A.nrows())
-    S, R = half.C1.transpose() * D, D.transpose() * D - exact(np.diag([1.0] * nw + [0.0] * nu)) * (g * g)
+    nw, nu, I, At = half.B1.ncols(), half.B2.ncols(), identity(half.A.nrows()), half.A.transpose()
+    R = D.transpose() * D + B.transpose() * X * B - exact(np.diag([1.0] * nw + [0.0] * nu)) * (g * g)
+    S = half.C1.transpose() * D + At * X * B
     A, G = half.A - B * R.solve(S.transpose()), B * R.solve(B.transpose())
-    H = half.C1.transpose() * half.C1 - S * R.solve(S.transpose())
-    yield H
-    for _ in range(count):
+    H = half.C1.transpose() * half.C1 + At * X * half.A - X - S * R.solve(S.transpose())
+    while True:
+        yield X + H
         E = I + G * H
-        A, G, H = (
-            A * E.solve(A),
-            G + A * E.solve(G) * A.transpose(),
-            H + A.transpose() * H * E.solve(A),
-        )
-        yield H
+        A, G, H = A * E.solve(A), G + A * E.solve(G) * A.transpose(), H + A.transpose() * H * E.solve(A)
 
 
-def falls(half: Half, count: int, v: np.ndarray, g: arb) -> bool:
-    """True when v is proved to cost less after 2^count steps than after half as many."""
-    found, x = list(iterates(half, count, g)), exact(v[:, None])
-    return count > 0 and bool((x.transpose() * (found[-1] - found[-2]) * x)[0, 0] < 0)
+def falls(reached: Reached, v: np.ndarray) -> bool:
+    """True when v is proved to cost less than with half as many iterations."""
+    x = exact(v[:, None])
+    return bool((x.transpose() * (reached.last - reached.half) * x)[0, 0] < 0)
 
 
 def solution(step: Step) -> arb_mat:

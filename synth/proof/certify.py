@@ -6,8 +6,8 @@ are proved in ball arithmetic (`balls`), the plant's and the controller's data t
     upper   the controller stabilises the plant and the norm is below this
     lower   no controller of any order reaches a norm below this
 
-Witnesses are found in floating-point arithmetic (`witnesses`), which needs no rigour. The certificate holds them to
-the last bit, and the plant and the controller too, so that both bounds can be proved again from its file alone, in
+Witnesses are found in floating-point arithmetic (`upper`, `lower`), which needs no rigour. The certificate holds them
+to the last bit, and the plant and the controller too, so that both bounds can be proved again from its file alone, in
 ball arithmetic and without a solver. The file is taken only as it was written, byte for byte of its data.
 """
 
@@ -28,7 +28,8 @@ from synth.errors import ModelError, VerificationError
 from synth.files import write_atomically
 from synth.proof import balls
 from synth.proof.balls import Coupling, Fall, Impulse, LowerWitness, Step, UpperWitness
-from synth.proof.witnesses import find_lower, find_upper
+from synth.proof.lower import find_lower
+from synth.proof.upper import find_upper
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace
 
@@ -227,18 +228,16 @@ def _lower_from_dict(data: Any) -> LowerWitness:
         w=float(data["w"]),
         z=float(data["z"]),
         rate=float(data["rate"]),
-        control=_way_from_dict(data["control"]),
-        estimation=_way_from_dict(data["estimation"]),
+        control=tuple(_step_from_dict(step) for step in data["control"]),
+        estimation=tuple(_step_from_dict(step) for step in data["estimation"]),
         end=last,
+        doubled=_doubled_from_list(data.get("doubled", [0, 0])),
     )
 
 
-def _way_from_dict(data: Any) -> tuple[Step, ...] | int:
-    if isinstance(data, list):
-        return tuple(_step_from_dict(step) for step in data)
-    if isinstance(data, bool) or not isinstance(data, int) or not 0 <= data <= MOST_DOUBLINGS:
-        raise ValueError(f"a way up of {shown(data)}; it is a list of steps or the number of doublings")
-    return data
+def _doubled_from_list(data: Any) -> tuple[int, int]:
+    control, estimation = (as_whole("doubled", k, "a number of doublings", least=0, most=MOST_DOUBLINGS) for k in data)
+    return control, estimation
 
 
 def _step_from_dict(data: Any) -> Step:

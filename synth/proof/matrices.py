@@ -99,3 +99,11 @@ def columns(M: arb_mat, which: Sequence[int]) -> arb_mat:
 def square(M: arb_mat) -> arb:
     """Sum of the squares of all entries."""
     return sum((e * e for e in M.entries()), arb(0))
+
+
+def reduced(M: arb_mat, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """What M, a quadratic form in (x, u), is with the u = K x of its stationary point, and this K."""
+    m = rounded(M)
+    K = -np.linalg.solve(m[n:, n:], m[n:, :n])
+    I = exact(np.vstack([np.eye(n), K]))
+    return rounded(I.transpose() * M * I), K

@@ -140,7 +140,7 @@ def not_reached(search: Search, best: Candidate, gamma: float) -> InfeasibleErro
     """The error for a level that was asked for and not reached, with what is proved about it."""
     norm, lower = best.measured.norm, 0.0
     if len(search.plant.A) <= PROVABLE:
-        from synth.proof.witnesses import find_lower
+        from synth.proof.lower import find_lower
 
         try:
             found, _ = find_lower(search.plant, norm, None, BITS)
