@@ -41,6 +41,7 @@ MAX_BITS = 4096  # accepted from a file
 MOST_DOUBLINGS = 64  # likewise
 NINE = ("A", "B1", "B2", "C1", "D11", "D12", "C2", "D21", "D22", "dt")
 FACTORS = ("before", "after")  # of a step
+TIGHT = 1e-4  # gap from which on no more bits are tried
 MARGINS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # of the upper bound above the verified norm
 
 
@@ -319,9 +320,13 @@ def certify(
     if above is None:
         raise VerificationError(f"it was not proved that the norm is below {levels[-1]:.9g}")
     below, note, used = None, "", bits
-    for used in precisions:
-        below, note = find_lower(P, above[0], lower, used)
-        if below is not None:
+    for more in precisions:
+        found, reason = find_lower(P, above[0], lower, more)
+        if found is not None and (below is None or found[0] > below[0]):
+            below, note, used = found, "", more
+        elif below is None:
+            note = reason
+        if below is not None and (lower is not None or above[0] < (1 + TIGHT) * below[0]):
             break
     if below is None and lower is not None:
         raise VerificationError(f"it was not proved that no controller reaches {lower:.9g}: {note}")

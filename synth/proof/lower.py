@@ -10,7 +10,7 @@ Reference: Lanzon, Feng, Anderson and Rotkowitz (2008), IEEE TAC 53, 2280.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import islice
 from typing import NamedTuple
@@ -26,11 +26,12 @@ from synth.proof import balls
 from synth.proof.balls import Coupling, Fall, Impulse, LowerWitness, Step
 from synth.proof.matrices import exact, identity, inverse_factor, reduced, rounded, symmetric
 from synth.proof.reasons import obstacles
-from synth.proof.upper import FAILURES, REFINED, rates
+from synth.proof.upper import FAILURES, rates
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.sampled import design_rate, discretised, inverse_cayley
 
 DISTANCES = (2e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 0.3)  # of the level below the Riccati equations' optimum
+FALSE = 0.99  # part of a norm that was reached: an optimum below it may be a false claim
 LEFT_OUT = 1e-20  # cost left out, relative to X
 CONVERGED = 1e-9  # relative change of a policy iteration or a doubling; both are quadratic
 MAX_POLICIES = 30
@@ -100,26 +101,47 @@ def _lower(
     floating = _rounded(halves, c)
     route = RiccatiRoute.of(floating)
     scaled = route.minimise()[0]
-    optimum = min(scaled * c.scale, upper)
     sides = (floating, halves[0], route.X), (dual(floating), halves[1], route.Y)
-    for distance in DISTANCES if level is None else (0.0,):
-        asked = optimum * (1 - distance) if level is None else level
-        g = arb(asked) * arb(w) * arb(z)  # exactly: strictness is far smaller than rounding
-        for control, estimation in _ways(sides, g):
-            try:
-                end = _end(control, estimation, halves, g)
-            except FAILURES:
-                continue
-            if end is None:
-                continue
-            # of a contradiction on one side the other one is no part
-            here = [isinstance(end, Coupling) or end.dual == is_dual for is_dual in (False, True)]
-            steps = [side.steps if used else () for side, used in zip((control, estimation), here, strict=True)]
-            doubled = (control.doubled * here[0], estimation.doubled * here[1])
-            witness = LowerWitness(c.T, w, z, rate, steps[0], steps[1], end, doubled)
-            if balls.proves_lower(P, witness, asked, bits):
-                return (asked, witness), scaled
-    return None, scaled
+
+    def highest(levels: Iterable[float]) -> tuple[float, LowerWitness] | None:
+        return next(((g, f) for g in levels if (f := _refuted(P, g, c.T, w, z, rate, sides, bits))), None)
+
+    if level is not None:
+        return highest([level]), scaled
+    optimum = min(scaled * c.scale, upper)
+    found = highest(optimum * (1 - d) for d in DISTANCES)
+    if optimum < FALSE * upper:  # a claim may be wrong
+        found = highest(upper * (1 - d) for d in DISTANCES if upper * (1 - d) > optimum) or found
+    return found, scaled
+
+
+def _refuted(
+    P: GeneralizedPlant,
+    level: float,
+    T: np.ndarray,
+    w: float,
+    z: float,
+    rate: float,
+    sides: tuple[Side, Side],
+    bits: int,
+) -> LowerWitness | None:
+    """Why no controller reaches a level, or None where nothing was found."""
+    g = arb(level) * arb(w) * arb(z)  # exactly: strictness is far smaller than rounding
+    for control, estimation in _ways(sides, g):
+        try:
+            end = _end(control, estimation, (sides[0][1], sides[1][1]), g)
+        except FAILURES:
+            continue
+        if end is None:
+            continue
+        # of a contradiction on one side the other one is no part
+        used = [isinstance(end, Coupling) or end.dual == is_dual for is_dual in (False, True)]
+        steps = [side.steps if here else () for side, here in zip((control, estimation), used, strict=True)]
+        doubled = (control.doubled * used[0], estimation.doubled * used[1])
+        witness = LowerWitness(T, w, z, rate, steps[0], steps[1], end, doubled)
+        if balls.proves_lower(P, witness, level, bits):
+            return witness
+    return None
 
 
 def _rounded(halves: tuple[balls.Half, balls.Half], c: Conditioned) -> GeneralizedPlant:
@@ -211,16 +233,14 @@ def _step(half: balls.Half, last: Step | None, F: np.ndarray, X: np.ndarray, g: 
 
 
 def _refined(half: balls.Half, F: np.ndarray, X: np.ndarray, g: arb) -> tuple[arb_mat, arb_mat]:
-    """The solution near X that leaves `LEFT_OUT` of the cost, and its inequality: Newton's steps in balls."""
+    """The solution near X that leaves `LEFT_OUT` of the cost, and its inequality: a Newton step in balls."""
     n = len(X)
     new = symmetric(X)
     A, B = rounded(half.A + half.B1 * exact(F)), rounded(half.B2)
     left = LEFT_OUT * max(1.0, float(np.linalg.norm(X))) * np.eye(n)
-    for _ in range(REFINED):
-        S, K = reduced(balls.subsolution(half, new, F, g), n)
-        change = double(A + B @ K, np.zeros((n, n)), S - left)
-        if change is None:
-            break
+    S, K = reduced(balls.subsolution(half, new, F, g), n)
+    change = double(A + B @ K, np.zeros((n, n)), S - left)
+    if change is not None:
         X, rest = _two_doubles(new + exact(change))
         new = symmetric(X) + symmetric(rest)
     return new, balls.subsolution(half, new, F, g)

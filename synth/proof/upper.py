@@ -26,7 +26,8 @@ from synth.systems.statespace import StateSpace
 OUTPUT = (0.0, 1e-12, 1e-8)  # state added to the closed loop's output, squared, for the coordinates alone
 UNSEEN = 1e-7  # added to what reaches a state and to what is seen of it, likewise
 STRICTNESS = (1e-20, 1e-14)  # what the inequality leaves at least, in these coordinates
-REFINED = 2  # Newton steps in balls
+NEAR = 1e-6  # norm of what is added to I that Newton's steps take care of
+REFINED = 2  # times at most that coordinates are made better, and Newton steps
 SAME = 3.0  # factor within which two rates are one
 FAILURES = (SynthError, np.linalg.LinAlgError, ArithmeticError, ValueError)  # of an attempt: then there is another
 
@@ -80,10 +81,12 @@ def _refined_contraction(
     e, V = np.linalg.eigh(reduced(balls.dissipated(M, exact(0 * T)), n)[0])
     left = (V * np.maximum(e, strictness)) @ V.T
     for _ in range(REFINED):
-        found = _rooted(M, U, U.T @ left @ U)
-        if found is None:
+        X = _shift(M, U.T @ left @ U)
+        if X is None:
             return None
-        U = found
+        if np.linalg.norm(X) < NEAR:
+            break
+        U = U @ np.linalg.inv(np.linalg.cholesky(np.eye(n) + X)).T
         M = balls.contraction(G, exact(T) * exact(U), level)
     rest = _last_digits(M, U.T @ left @ U)
     factor = inverse_factor(balls.dissipated(M, symmetric(rest)))
@@ -122,16 +125,15 @@ def _contracting(G: balls.Balls, level: float, added: float) -> np.ndarray | Non
     return T @ np.linalg.inv(np.linalg.cholesky(X + UNSEEN**2 * np.linalg.norm(X) * np.eye(len(X)))).T
 
 
-def _rooted(M: arb_mat, U: np.ndarray, left: np.ndarray) -> np.ndarray | None:
-    """Coordinates U nearer to those in which I solves the bounded-real equation that leaves `left`, or None.
+def _shift(M: arb_mat, left: np.ndarray) -> np.ndarray | None:
+    """What to add to I for a solution of the bounded-real Riccati equation that leaves `left`; None for no solution.
 
-    The Riccati equation is shifted by I, nearly its solution, in balls, where nothing cancels.
+    The equation is shifted by I, nearly its solution, in balls, where nothing cancels.
     """
-    E, m, n = rounded(M.transpose() * M - identity(M.ncols())), rounded(M), len(U)
+    E, m, n = rounded(M.transpose() * M - identity(M.ncols())), rounded(M), len(left)
     A, B = m[:n, :n], m[:n, n:]
     W = np.linalg.solve(E[n:, n:], np.hstack([B.T, E[n:, :n]]))
-    X = double(A - B @ W[:, n:], B @ W[:, :n], E[:n, :n] + left - E[:n, n:] @ W[:, n:])
-    return None if X is None else U @ np.linalg.inv(np.linalg.cholesky(np.eye(n) + X)).T
+    return double(A - B @ W[:, n:], B @ W[:, :n], E[:n, :n] + left - E[:n, n:] @ W[:, n:])
 
 
 def _last_digits(M: arb_mat, left: np.ndarray) -> np.ndarray:
