@@ -21,23 +21,33 @@ from flint import arb, arb_mat, ctx
 from synth.analysis.precondition import Conditioned, precondition
 from synth.equations.doubling import double, solve_riccati
 from synth.equations.hinf_riccati import RiccatiRoute, dual
-from synth.errors import ModelError
 from synth.proof import balls
 from synth.proof.balls import Coupling, Fall, Impulse, LowerWitness, Step
 from synth.proof.matrices import exact, identity, inverse_factor, reduced, rounded, symmetric
 from synth.proof.reasons import obstacles
-from synth.proof.upper import FAILURES, rates
+from synth.proof.upper import FAILURES, REFINED, rates
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.sampled import design_rate, discretised, inverse_cayley
+from synth.systems.sampled import design_rate, discretised, inverse_cayley, pole_rate
 
 DISTANCES = (2e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 0.3)  # of the level below the Riccati equations' optimum
 FALSE = 0.99  # part of a norm that was reached: an optimum below it may be a false claim
 LEFT_OUT = 1e-20  # cost left out, relative to X
 CONVERGED = 1e-9  # relative change of a policy iteration or a doubling; both are quadratic
+ROUNDING = 1e-13  # relative, of a Newton step that was the last one
 MAX_POLICIES = 30
 MAX_DOUBLINGS = 60
 NOTHING = 1e-6  # part of the level of quadratic control: an optimum that counts as zero
 NOT_FOUND = "no contradiction was found near the optimum of the Riccati equations"
+
+
+class Place(NamedTuple):
+    """Coordinates of a witness."""
+
+    T: np.ndarray  # (n, n) states of the plant, x = T x_new
+    w: float  # factor on the gains from w
+    z: float  # factor on the gains to z
+    rate: float  # rad/s of the map to discrete time, 0 for discrete time as it is
+
 
 Side = tuple[GeneralizedPlant, balls.Half, np.ndarray]  # a plant or its dual, in doubles and in balls, and a start
 
@@ -57,35 +67,39 @@ def find_lower(
 ) -> tuple[tuple[float, LowerWitness] | None, str]:
     """The highest of a few levels below the optimum (or the one given) with its witness, or None and the reason."""
     scaled, failure = np.inf, ""
-    for rate in rates(P.dt, _design_rate(P)):
-        try:
-            with np.errstate(all="ignore"), ctx.workprec(bits):
+    with np.errstate(all="ignore"), ctx.workprec(bits):
+        for rate in rates(P.dt, _design_rate(P)):
+            try:
                 found, scaled = _lower(P, upper, level, bits, rate)
-        except FAILURES as error:
-            failure = str(error)
-            continue
-        if found is not None:
-            return found, ""
-    return None, _reason(P, scaled, failure)
+            except FAILURES as error:
+                failure = str(error)
+                continue
+            if found is not None:
+                return found, ""
+        return None, _reason(P, scaled, failure)
 
 
 def _reason(P: GeneralizedPlant, scaled: float, failure: str) -> str:
     """Why nothing was found, as far as it is known."""
     if scaled < NOTHING:
         return "the optimum is zero, or so small beside that of quadratic control that it cannot be told from zero"
-    if found := obstacles(P):
-        return f"no strict inequality on one side: on the stability boundary there is {', and '.join(found)}"
+    try:
+        found = obstacles(P)
+    except FAILURES:
+        found = []
+    if found:
+        return f"no strict inequality on one side, as rank is lost on the stability boundary: {'; '.join(found)}"
     return f"{NOT_FOUND}: {failure}" if failure else NOT_FOUND
 
 
 def _design_rate(P: GeneralizedPlant) -> float:
     """The rate of a generalised plant, also of a discrete one; its own where it has none in continuous time."""
-    if P.dt == 0:
-        return design_rate(P)
     try:
+        if P.dt == 0:
+            return design_rate(P)
         return design_rate(GeneralizedPlant.partition(inverse_cayley(P.system, 2 / P.dt), P.sizes[4], P.sizes[2]))
-    except ModelError:  # a pole at -1
-        return 2 / P.dt
+    except FAILURES:  # a pole at -1
+        return 2 / P.dt if P.dt else pole_rate(P.system.poles())
 
 
 def _lower(
@@ -97,14 +111,15 @@ def _lower(
     before, after = np.linalg.norm(np.linalg.solve(c.T, discrete.B1)), np.linalg.norm(c.plant.B1)
     w = float(after / before) if before and after else 1.0  # `precondition` shares its scale between w and z
     z = 1 / (c.scale * w)
-    halves = balls.in_coordinates(P, c.T, w, z, rate)
+    place = Place(c.T, w, z, rate)
+    halves = balls.in_coordinates(P, *place)
     floating = _rounded(halves, c)
     route = RiccatiRoute.of(floating)
     scaled = route.minimise()[0]
     sides = (floating, halves[0], route.X), (dual(floating), halves[1], route.Y)
 
     def highest(levels: Iterable[float]) -> tuple[float, LowerWitness] | None:
-        return next(((g, f) for g in levels if (f := _refuted(P, g, c.T, w, z, rate, sides, bits))), None)
+        return next(((g, f) for g in levels if (f := _refuted(P, g, place, sides, bits))), None)
 
     if level is not None:
         return highest([level]), scaled
@@ -116,31 +131,22 @@ def _lower(
 
 
 def _refuted(
-    P: GeneralizedPlant,
-    level: float,
-    T: np.ndarray,
-    w: float,
-    z: float,
-    rate: float,
-    sides: tuple[Side, Side],
-    bits: int,
+    P: GeneralizedPlant, level: float, place: Place, sides: tuple[Side, Side], bits: int
 ) -> LowerWitness | None:
     """Why no controller reaches a level, or None where nothing was found."""
-    g = arb(level) * arb(w) * arb(z)  # exactly: strictness is far smaller than rounding
+    g = arb(level) * arb(place.w) * arb(place.z)  # exactly: strictness is far smaller than rounding
     for control, estimation in _ways(sides, g):
         try:
-            end = _end(control, estimation, (sides[0][1], sides[1][1]), g)
+            for end in _ends(control, estimation, sides, g):
+                # of a contradiction on one side the other one is no part
+                used = [isinstance(end, Coupling) or end.dual == is_dual for is_dual in (False, True)]
+                steps = [side.steps if here else () for side, here in zip((control, estimation), used, strict=True)]
+                doubled = (control.doubled * used[0], estimation.doubled * used[1])
+                witness = LowerWitness(*place, steps[0], steps[1], end, doubled)
+                if balls.proves_lower(P, witness, level, bits):
+                    return witness
         except FAILURES:
             continue
-        if end is None:
-            continue
-        # of a contradiction on one side the other one is no part
-        used = [isinstance(end, Coupling) or end.dual == is_dual for is_dual in (False, True)]
-        steps = [side.steps if here else () for side, here in zip((control, estimation), used, strict=True)]
-        doubled = (control.doubled * used[0], estimation.doubled * used[1])
-        witness = LowerWitness(T, w, z, rate, steps[0], steps[1], end, doubled)
-        if balls.proves_lower(P, witness, level, bits):
-            return witness
     return None
 
 
@@ -200,12 +206,11 @@ def _double(P: GeneralizedPlant, half: balls.Half, steps: tuple[Step, ...], g: a
         for count, X in enumerate(islice(balls.iterates(half, start, g), MAX_DOUBLINGS), 1):
             F, grown = rounded(X), rounded(X - last)
             e, V = np.linalg.eigh((grown + grown.T) / 2)
-            if e[0] < 0 and balls.falls(balls.Reached(last, X), V[:, 0]):
-                return Climb(steps, count, X, v=V[:, 0])
+            v = V[:, 0] if e[0] < 0 and balls.falls(balls.Reached(last, X), V[:, 0]) else None
             w, _ = _answer(P, F, level)
             last, done = X, count
-            if w is not None or np.linalg.norm(grown) < CONVERGED * np.linalg.norm(F):
-                return Climb(steps, count, X, w)
+            if w is not None or v is not None or np.linalg.norm(grown) < CONVERGED * np.linalg.norm(F):
+                return Climb(steps, count, X, w, v)
     except FAILURES:  # what was reached before is proved
         pass
     return Climb(steps, done, last)
@@ -233,16 +238,20 @@ def _step(half: balls.Half, last: Step | None, F: np.ndarray, X: np.ndarray, g: 
 
 
 def _refined(half: balls.Half, F: np.ndarray, X: np.ndarray, g: arb) -> tuple[arb_mat, arb_mat]:
-    """The solution near X that leaves `LEFT_OUT` of the cost, and its inequality: a Newton step in balls."""
+    """The solution near X that leaves `LEFT_OUT` of the cost, and its inequality: Newton's steps in balls."""
     n = len(X)
     new = symmetric(X)
     A, B = rounded(half.A + half.B1 * exact(F)), rounded(half.B2)
     left = LEFT_OUT * max(1.0, float(np.linalg.norm(X))) * np.eye(n)
-    S, K = reduced(balls.subsolution(half, new, F, g), n)
-    change = double(A + B @ K, np.zeros((n, n)), S - left)
-    if change is not None:
+    for _ in range(REFINED):
+        S, K = reduced(balls.subsolution(half, new, F, g), n)
+        change = double(A + B @ K, np.zeros((n, n)), S - left)
+        if change is None:
+            break
         X, rest = _two_doubles(new + exact(change))
         new = symmetric(X) + symmetric(rest)
+        if np.linalg.norm(change) < ROUNDING * np.linalg.norm(X):
+            break
     return new, balls.subsolution(half, new, F, g)
 
 
@@ -252,26 +261,23 @@ def _two_doubles(X: arb_mat) -> tuple[np.ndarray, np.ndarray]:
     return first, rounded(X - exact(first))
 
 
-def _end(
-    control: Climb, estimation: Climb, halves: tuple[balls.Half, balls.Half], g: arb
-) -> Coupling | Impulse | Fall | None:
-    """What the two sides together contradict the level with, or None."""
-    for is_dual, half, side in ((False, halves[0], control), (True, halves[1], estimation)):
-        if side.v is not None:
-            return Fall(side.v, is_dual)
-        if side.w is not None:
-            factor = inverse_factor(balls.impulse(half, side.X, side.w, g))
+def _ends(control: Climb, estimation: Climb, sides: tuple[Side, Side], g: arb) -> Iterator[Coupling | Impulse | Fall]:
+    """What the two sides may contradict the level with."""
+    for is_dual, climb in enumerate((control, estimation)):
+        if climb.w is not None:
+            factor = inverse_factor(balls.impulse(sides[is_dual][1], climb.X, climb.w, g))
             if factor is not None:
-                return Impulse(side.w, is_dual, factor)
+                yield Impulse(climb.w, bool(is_dual), factor)
+        if climb.v is not None:
+            yield Fall(climb.v, bool(is_dual))
     X, Y = rounded(control.X), rounded(estimation.X)
     e = np.linalg.eigvalsh(X)
     shift = max(-2 * float(e[0]), 1e-13 * float(e[-1]))
     if not shift > 0:
-        return None
+        return
     I = np.eye(len(X))
     L = np.linalg.cholesky(X + shift * I)
     e, V = np.linalg.eigh(L.T @ np.linalg.solve(float(g) ** 2 * I + shift * Y, Y) @ L)
     factor = inverse_factor(control.X + arb(shift) * identity(len(X)))
-    if e[-1] <= 1 or factor is None:
-        return None
-    return Coupling(np.linalg.solve(L.T, V[:, -1]), shift, factor)
+    if e[-1] > 1 and factor is not None:
+        yield Coupling(np.linalg.solve(L.T, V[:, -1]), shift, factor)

@@ -26,7 +26,7 @@ def obstacles(P: GeneralizedPlant) -> list[str]:
     found = []
     for way, name, side in (("u to z", "D12", control), ("w to y", "D21", estimation)):
         if (ways := _normal_rank(*side)) < side[1].shape[1]:
-            found.append(f"from {way} only {ways} of {side[1].shape[1]} ways at any frequency")
+            found.append(f"from {way} only {ways} of {side[1].shape[1]} ways are independent, at any frequency")
             continue
         if P.dt == 0 and (rank := _rank(side[-1])) < side[-1].shape[1]:
             found.append(f"from {way} a zero at infinity ({name} has rank {rank} of {side[-1].shape[1]})")
