@@ -100,6 +100,8 @@ def hinfsyn(
             if found is not None:
                 return finished(search, found, started)
     search.optimise(method)
+    if search.best is not None and not search.settled:
+        search.refute(proved_lower(plant, search.best.measured.norm))
     best = search.best
     if best is None:
         latest = {name.split(",")[0]: reason for name, reason in search.failures.items()}
@@ -138,21 +140,27 @@ def finished(search: Search, found: Candidate, started: float) -> Design:
 
 def not_reached(search: Search, best: Candidate, gamma: float) -> InfeasibleError:
     """The error for a level that was asked for and not reached, with what is proved about it."""
-    norm, lower = best.measured.norm, 0.0
-    if len(search.plant.A) <= PROVABLE:
-        from synth.proof.lower import find_lower
-
-        try:
-            found, _ = find_lower(search.plant, norm, None, BITS)
-            lower = found[0] if found else 0.0
-        except (SynthError, np.linalg.LinAlgError):  # then nothing is proved
-            lower = 0.0
+    norm = best.measured.norm
+    lower = proved_lower(search.plant, norm)
     best_so_far = f"the best verified level is {norm:.7g} (by {best.method!r})"
     if lower >= gamma:
         text = f"gamma = {gamma:.7g} cannot be reached: no controller goes below {lower:.7g}, which is proved"
         return InfeasibleError(f"{text}; {best_so_far}", best=norm, lower=lower)
     proved = f"proved impossible is only what is below {lower:.7g}" if lower else "nothing is proved impossible"
     return InfeasibleError(f"gamma = {gamma:.7g} was not reached: {best_so_far}, {proved}", best=norm, lower=lower)
+
+
+def proved_lower(plant: GeneralizedPlant, norm: float) -> float:
+    """A level that no controller reaches, near a norm that was reached; 0 where none is proved."""
+    if len(plant.A) > PROVABLE:
+        return 0.0
+    from synth.proof.lower import find_lower
+
+    try:
+        found, _ = find_lower(plant, norm, None, BITS)
+    except (SynthError, np.linalg.LinAlgError):  # then nothing is proved
+        return 0.0
+    return found[0] if found else 0.0
 
 
 def slowest_pole(plant: GeneralizedPlant, poles: np.ndarray, part: float = STUCK) -> tuple[float, tuple[str, ...]]:

@@ -131,6 +131,17 @@ class Search:
             return False
         return len(agreeing) > 1 or any(claim.certain for claim in agreeing)
 
+    def refute(self, lower: float) -> None:
+        """Drop the claims below a level that no controller reaches; near the best norm it is the optimum itself."""
+        for claim in self.claims:
+            if claim.level < lower:
+                self.failures[f"{claim.method}, optimum {claim.level:.7g}"] = (
+                    f"false: none goes below {lower:.7g}, proved"
+                )
+        self.claims = [claim for claim in self.claims if claim.level >= lower]
+        if lower > 0 and self.reached <= (1 + self.tol) * lower:
+            self.claims.append(Claim(lower, 1.0, "proof", "proved in ball arithmetic", certain=True))
+
     @property
     def reached(self) -> float:
         """The norm of the best controller without what rounding may hide, which no other attempt would lessen."""
