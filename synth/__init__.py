@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from synth.delivery.timeplots import impulse as impulse
     from synth.delivery.timeplots import pzmap as pzmap
     from synth.delivery.timeplots import step as step
-    from synth.equations.riccati import care as care
-    from synth.equations.riccati import dare as dare
+    from synth.equations.are import care as care
+    from synth.equations.are import dare as dare
     from synth.errors import AssumptionError as AssumptionError
     from synth.errors import ExportError as ExportError
     from synth.errors import InfeasibleError as InfeasibleError
@@ -130,8 +130,8 @@ _HOME = {
     "augw": "synthesis.mixedsensitivity",
     "bode": "delivery.frequencyplots",
     "c2d": "systems.sampled",
-    "care": "equations.riccati",
-    "dare": "equations.riccati",
+    "care": "equations.are",
+    "dare": "equations.are",
     "diskmargin": "analysis.diskmargins",
     "diskmargin_at": "analysis.diskmargins",
     "diskmarginplot": "delivery.marginplots",

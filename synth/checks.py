@@ -91,7 +91,7 @@ def as_weight(name: str, value: Any, size: int) -> np.ndarray:
         if M.size != size:
             raise ModelError(f"{name} has {M.size} entries; pass a number, {size} of them or a {size} x {size} matrix")
         return np.diag(M)
-    return as_matrix(name, M, (size, size))
+    return M if M.shape == (size, size) else as_matrix(name, M, (size, size))
 
 
 def as_vector(name: str, value: Any, size: int) -> np.ndarray:
@@ -223,12 +223,21 @@ def as_names(key: str, names: Any, size: int, told: str = "") -> tuple[str, ...]
     return found
 
 
+def as_symmetric(name: str, value: Any, size: int) -> np.ndarray:
+    """A symmetric weight of any signature; numbers and lists as in `as_weight`."""
+    M = as_weight(name, value, size)
+    if (M == M.T).all():
+        return M
+    skew = np.abs(M - M.T).max(initial=0.0)
+    if skew > SYMMETRIC * np.abs(M).max():
+        raise ModelError(f"{name} is not symmetric; pass ({name} + {name}')/2, which weighs the same")
+    return (M + M.T) / 2
+
+
 def as_cost(name: str, value: Any, size: int, *, definite: bool = False) -> np.ndarray:
     """A symmetric positive (semi)definite weight of a quadratic cost; numbers and lists as in `as_weight`."""
-    M = as_weight(name, value, size)
+    M = as_symmetric(name, value, size)
     scale = np.abs(M).max(initial=0.0)
-    if np.abs(M - M.T).max(initial=0.0) > SYMMETRIC * scale:
-        raise ModelError(f"{name} is not symmetric; pass ({name} + {name}')/2, which weighs the same")
     least = float(f"{np.linalg.eigvalsh(M).min(initial=np.inf):.6g}")
     if least < -SYMMETRIC * size * scale:
         raise ModelError(f"{name} has the eigenvalue {least}; a weight has none below zero: pass {POSITIVE[definite]}")

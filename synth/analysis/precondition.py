@@ -16,16 +16,14 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg as sla
 
 from synth.equations.doubling import regularised_lqr
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.modes import doubts
+from synth.systems.modes import is_lost, unreachable
 from synth.systems.statespace import StateSpace
 
 FLOOR = 1e-8  # relative, on the singular values of the state transform
-LOST = 1e-13  # relative distance to a loss of rank, per state, that rounding explains
 ILL_POSED = 1e-12  # relative distance of I + Dk D22 to singular
 SWEEPS = 50  # of the power-of-two balancing; about five are used
 
@@ -81,8 +79,8 @@ def check_assumptions(P: GeneralizedPlant) -> None:
         ("(A, B2) stabilisable", (S.A, S.B2), (P.A, P.B2), "no actuator moves", "add an actuator that reaches it"),
         ("(C2, A) detectable", (S.A.T, S.C2.T), (P.A.T, P.C2.T), "no sensor sees", "add a sensor that sees it"),
     ):
-        modes = _unreachable(*balanced, discrete=P.dt > 0)
-        if modes and any(_is_lost(*given, m) for m in modes):  # scaling may have lost what the coordinates given have
+        modes = unreachable(*balanced, discrete=P.dt > 0)
+        if modes and any(is_lost(*given, m) for m in modes):  # scaling may have lost what the coordinates given have
             listed = ", ".join(f"{m.real:.6g}" if m.imag == 0 else f"{m:.6g}" for m in modes)
             raise AssumptionError(
                 assumption,
@@ -187,39 +185,6 @@ def _reciprocal(size: float) -> float:
 def _power_of_two(x):
     """The nearest powers of two."""
     return np.exp2(np.round(np.log2(x)))
-
-
-def _unreachable(A: np.ndarray, B: np.ndarray, *, discrete: bool) -> tuple[complex, ...]:
-    """Modes of A on or outside the stability boundary that B does not reach, up to rounding."""
-    n = len(A)
-    size = np.linalg.norm(A, 2) or 1.0  # zero for integrators
-
-    values, doubt = doubts(A)
-
-    def persistent(value):
-        moved = doubt[np.abs(values - value).argmin()]
-        return 1 - abs(value) <= moved if discrete else -value.real <= moved
-
-    # rows of U' span the left invariant subspace: U' A = Au U'
-    schur = sla.schur(A.T, output="complex", sort=persistent)
-    Tr, Z, k = schur[0], schur[1], int(schur[-1])
-    Au, Bu = Tr[:k, :k].T, Z[:, :k].T @ B
-    gain = np.linalg.norm(B, 2)
-    Bu = Bu * (size / gain) if gain > 0 else Bu
-    lost = []
-    for mode in np.diag(Tr)[:k]:
-        s = np.linalg.svd(np.hstack([Au - mode * np.eye(k), Bu]), compute_uv=False)
-        if s[-1] <= LOST * n * max(size, 1e-300) and not any(abs(mode - m) <= 1e-6 * abs(mode) for m in lost):
-            lost.append(mode)
-    clean = [complex(m.real, 0.0 if abs(m.imag) <= 1e-9 * abs(m) else m.imag) for m in lost]
-    return tuple(sorted(clean, key=lambda m: (m.real, m.imag)))
-
-
-def _is_lost(A: np.ndarray, B: np.ndarray, mode: complex) -> bool:
-    """True when B does not reach a mode of A, up to rounding."""
-    size, gain = np.linalg.norm(A, 2) or 1.0, np.linalg.norm(B, 2) or 1.0
-    s = np.linalg.svd(np.hstack([A - mode * np.eye(len(A)), B * (size / gain)]), compute_uv=False)
-    return bool(s[-1] <= LOST * len(A) * size)
 
 
 def _inverse_root(M: np.ndarray) -> np.ndarray:

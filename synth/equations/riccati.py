@@ -1,4 +1,4 @@
-"""Riccati equations inside compiled loops: thousands of small ones at once, under `jit`, `vmap` and `scan`.
+"""Riccati equations inside compiled loops, under `jit`, `vmap` and `scan`; outside them see `synth.equations.are`.
 
     continuous   A'X + X A - X G X + Q = 0                  G = B R^-1 B'
     discrete     X = Q + A'X (I + G X)^-1 A
@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_batching import custom_vmap
 
-from synth.checks import as_array
+from synth.equations.are import Solution
 from synth.errors import ModelError
 
 DOUBLINGS = 40  # 2^40 samples: slower convergence than that is a mode on the stability boundary
@@ -45,49 +45,12 @@ OFF_POLE = 1.17  # keeps the rate of the Cayley map from the mirror images of cl
 barrier = jax.lax.optimization_barrier  # one kernel per matrix: XLA would compute the operands again for every entry
 
 
-class Solution(NamedTuple):
-    """Stabilising solution of a Riccati equation; without meaning where `ok` is false."""
-
-    X: Any  # (..., n, n)
-    ok: Any  # (...) bool
-
-
 class Pair(NamedTuple):
     """Stabilising solutions of an equation and of its dual, A Z + Z A' - Z Q Z + G = 0."""
 
     X: Any  # (..., n, n)
     Z: Any  # (..., n, n)
     ok: Any  # (...) bool, both
-
-
-def care(A, B, Q, R=None) -> Solution:
-    """Stabilising solutions of A'X + X A - X B R^-1 B'X + Q = 0, many at once, as NumPy arrays.
-
-    Parameters
-    ----------
-    A : (..., n, n); B : (..., n, m); Q : (..., n, n) symmetric, positive semidefinite
-    R : (..., m, m) symmetric, positive definite; identity when left out
-
-    Returns
-    -------
-    Solution : X (..., n, n) and ok (...); not ok where (A, B) cannot be stabilised, or where Q does not see a mode
-        that does not decay by itself
-
-    Raises
-    ------
-    ModelError : shapes do not fit, a number is not finite, Q or R is no weight.
-    """
-    A, G, Q = _checked(A, B, Q, R)
-    shift = np.broadcast_to(closed_loop_rate(A, G, Q), A.shape[:-2])
-    return _flat(stabilising, A, G, Q, shift)
-
-
-def dare(A, B, Q, R=None) -> Solution:
-    """Stabilising solutions of X = Q + A'X A - A'X B (R + B'X B)^-1 B'X A, many at once, as NumPy arrays.
-
-    Parameters, returns and raises as `care`; the boundary is the unit circle.
-    """
-    return _flat(discrete_stabilising, *_checked(A, B, Q, R))
 
 
 def closed_loop_rate(A: np.ndarray, G: np.ndarray, Q: np.ndarray) -> np.ndarray:
@@ -360,41 +323,3 @@ def _floats(*operands):
     if any(a.dtype != jnp.float64 for a in arrays):
         raise ModelError("JAX computes in float32, too little for Riccati equations; use jax.enable_x64(True)")
     return arrays
-
-
-def _checked(A, B, Q, R):
-    """A, G = B R^-1 B' and Q with the same leading axes, as NumPy arrays."""
-    named = {"A": A, "B": B, "Q": Q} | ({} if R is None else {"R": R})
-    arrays = {name: as_array(name, value, finite=False) for name, value in named.items()}
-    for name, value in arrays.items():
-        if value.ndim < 2 or not np.isfinite(value).all():
-            raise ModelError(f"{name} is no array of finite matrices (shape {value.shape}); pass (..., rows, columns)")
-    n, m = arrays["B"].shape[-2:]
-    for name, want in {"A": (n, n), "Q": (n, n), "R": (m, m)}.items():
-        if name in arrays and arrays[name].shape[-2:] != want:
-            raise ModelError(f"{name} has shape {arrays[name].shape}; B of {n} x {m} needs {want[0]} x {want[1]}")
-    for name in ("Q", "R")[: len(arrays) - 2]:
-        M = arrays[name]
-        size, least = np.abs(M).max(initial=0.0), np.linalg.eigvalsh(M).min(initial=np.inf)
-        skew = np.abs(M - np.swapaxes(M, -1, -2)).max(initial=0.0)
-        if skew > 1e-12 * size or least < -1e-12 * size * n or (name == "R" and least <= 0):
-            kind = "definite" if name == "R" else "semidefinite"
-            raise ModelError(f"{name} is not symmetric positive {kind}: eigenvalue {least:.6g}, asymmetry {skew:.6g}")
-    A, B, Q = arrays["A"], arrays["B"], arrays["Q"]
-    Bt = np.swapaxes(B, -1, -2)
-    G = B @ (Bt if R is None else np.linalg.solve(arrays["R"], Bt))
-    lead = np.broadcast_shapes(*(M.shape[:-2] for M in (A, G, Q)))
-    return tuple(np.broadcast_to(M, (*lead, n, n)) for M in (A, G, Q))
-
-
-def _flat(solve, A, *operands) -> Solution:
-    """`solve` for all leading axes at once, under float64."""
-    lead, n = A.shape[:-2], A.shape[-1]
-    flat = [np.reshape(a, (-1, *a.shape[len(lead) :])) for a in (A, *operands)]
-    count, out = len(flat[0]), []
-    with jax.enable_x64(True):
-        for first in range(0, count, LANES):  # full batches, the last one filled up: one compilation serves all
-            batch = [a[np.minimum(np.arange(first, first + LANES), count - 1)] for a in flat]
-            out.append(jax.tree.map(np.asarray, jax.vmap(solve)(*batch)))
-    X, ok = (np.concatenate(parts)[:count] for parts in zip(*out, strict=True)) if out else (A, np.ones(lead, bool))
-    return Solution(X.reshape(*lead, n, n), ok.reshape(lead))

@@ -1,58 +1,101 @@
 """Linear-quadratic regulators `lqr`, `dlqr`, `lqrd`, `lqg`, with the names and returns of python-control and MATLAB.
 
+Every gain is checked on the data given: its Riccati equation, the stability of its loop for all that rounding may have
+done, and how much the data's own rounding moves it (`synth.equations.refinement`). Why there is none is asked after a
+failure only (`synth.regulators.diagnosis`).
+
 References: Anderson and Moore (1990), Optimal Control: Linear Quadratic Methods; Zhou, Doyle and Glover (1996), Robust
 and Optimal Control, chapter 13; Van Loan (1978), IEEE TAC 23, 395 (the integrals of a sampled cost).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cached_property
 from typing import Any, NamedTuple, overload
 
 import numpy as np
 import scipy.linalg as sla
 
-from synth.analysis.precondition import check_assumptions
-from synth.checks import as_array, as_cost, as_matrix, as_number
-from synth.errors import AssumptionError, ModelError, NumericalError
+from synth.checks import as_array, as_cost, as_matrix, as_number, as_symmetric
+from synth.equations.are import check_descriptor, is_definite, solve
+from synth.equations.refinement import Equation, Judged
+from synth.errors import ModelError, NumericalError
+from synth.regulators.diagnosis import failure
 from synth.systems.connect import check_dynamic
-from synth.systems.generalized import GeneralizedPlant
 from synth.systems.realization import Matrices, state_scales
 from synth.systems.statespace import StateSpace, as_system
 
-UNSEEN = 1e-10  # relative singular value below which a mode on the boundary is not seen
+
+class Regulator(tuple[np.ndarray, np.ndarray, np.ndarray]):
+    """K, S, E of a regulator u = -K x, with what was measured of them.
+
+    Attributes
+    ----------
+    K : (m, n) gain; S : (n, n) solution of the Riccati equation; E : (n,) closed-loop poles, complex
+    residual : of the Riccati equation on the data given, an entry relative to the sum of the moduli of its terms; units
+        of states and commands do not change it
+    condition : relative change of S for the worst relative change of the data by as much, entry by entry, to first
+        order, in the norm of balanced states; S has about log10(1e16 / condition) digits
+    """
+
+    _judge: Callable[[], Judged]
+
+    def __new__(cls, K: np.ndarray, S: np.ndarray, E: np.ndarray, judge: Callable[[], Judged]) -> Regulator:  # noqa: D102
+        self = super().__new__(cls, (K, S, E))
+        self._judge = judge
+        return self
+
+    K = property(lambda self: self[0])
+    S = property(lambda self: self[1])
+    E = property(lambda self: self[2])
+    residual = property(lambda self: float(self._judged.residual))
+    condition = property(lambda self: float(self._judged.condition))
+
+    @cached_property
+    def _judged(self) -> Judged:
+        return self._judge()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _regulator_of, (*self, *self._judged)
 
 
-Gains = tuple[np.ndarray, np.ndarray, np.ndarray]
+def _regulator_of(K: np.ndarray, S: np.ndarray, E: np.ndarray, *measured: float) -> Regulator:
+    """A regulator from its parts."""
+    return Regulator(K, S, E, lambda: Judged(*measured))
 
 
 @overload
-def lqr(A: Any, B: Any, Q: Any, R: Any, N: Any = None) -> Gains: ...
+def lqr(A: Any, B: Any, Q: Any, R: Any, N: Any = None, *, E: Any = None) -> Regulator: ...
 @overload
-def lqr(sys: Any, Q: Any, R: Any, N: Any = None, /) -> Gains: ...
-def lqr(*arguments: Any, **named: Any) -> Gains:
-    """Regulator u = -K x that minimises the integral of x'Q x + u'R u + 2 x'N u along dx = A x + B u.
+def lqr(sys: Any, Q: Any, R: Any, N: Any = None, /, *, E: Any = None) -> Regulator: ...
+def lqr(*arguments: Any, E: Any = None, **named: Any) -> Regulator:
+    """Regulator u = -K x that minimises the integral of x'Q x + u'R u + 2 x'N u along E dx = A x + B u.
 
     Called as lqr(A, B, Q, R[, N]) or lqr(sys, Q, R[, N]); for a discrete `sys` it is `dlqr`.
 
     Parameters
     ----------
     A : (n, n); B : (n, m), a list is a column; sys : a system in any form that `synth.system` takes
-    Q : (n, n) symmetric positive semidefinite; of all weights a number stands for that multiple of the identity, a
-        list for a diagonal
+    Q : (n, n) symmetric; of all weights a number stands for that multiple of the identity, a list for a diagonal. It
+        may be indefinite where the cost of motions that come to rest is bounded below nevertheless
     R : (m, m) symmetric positive definite
-    N : (n, m) cross weight, [[Q, N], [N', R]] positive semidefinite; zero when left out
+    N : (n, m) cross weight; zero when left out
+    E : (n, n) invertible, by name only; the identity when left out
 
     Returns
     -------
-    K : (m, n) gain
-    S : (n, n) stabilising solution of A'S + S A - (S B + N) R^-1 (S B + N)' + Q = 0
-    E : (n,) closed-loop poles, complex
+    Regulator : unpacks to K, S, E and carries `residual` and `condition`
+        K : (m, n) gain
+        S : (n, n) stabilising solution of A'S E + E'S A - (E'S B + N) R^-1 (E'S B + N)' + Q = 0
+        E : (n,) closed-loop poles, complex
 
     Raises
     ------
-    ModelError : shapes do not fit, a number is not finite, weights that are not symmetric or not positive.
-    AssumptionError : (A, B) cannot be stabilised, or the weights do not see a mode on the imaginary axis.
-    NumericalError : no stabilising solution was found although both hold (nearly).
+    ModelError : shapes do not fit, a number is not finite, Q or R is not symmetric, R not positive, E singular.
+    AssumptionError : (A, B) cannot be stabilised, semidefinite weights do not see a mode on the imaginary axis, or
+        indefinite ones leave the cost unbounded.
+    NumericalError : no stabilising solution was found, or none whose residual is small; names both.
 
     Examples
     --------
@@ -62,30 +105,34 @@ def lqr(*arguments: Any, **named: Any) -> Gains:
     [[1.0, 1.414214]]
     """
     given = _arguments("lqr", ("Q", "R", "N"), arguments, named)
-    return _regulator(given.G, *given.weights, discrete=given.G.discrete)
+    Q, R, N = given.weights
+    return _regulator(given.A, given.B, Q, R, N, E, discrete=bool(given.dt))
 
 
 @overload
-def dlqr(A: Any, B: Any, Q: Any, R: Any, N: Any = None) -> Gains: ...
+def dlqr(A: Any, B: Any, Q: Any, R: Any, N: Any = None, *, E: Any = None) -> Regulator: ...
 @overload
-def dlqr(sys: Any, Q: Any, R: Any, N: Any = None, /) -> Gains: ...
-def dlqr(*arguments: Any, **named: Any) -> Gains:
-    """Regulator u = -K x that minimises the sum of x'Q x + u'R u + 2 x'N u along x+ = A x + B u.
+def dlqr(sys: Any, Q: Any, R: Any, N: Any = None, /, *, E: Any = None) -> Regulator: ...
+def dlqr(*arguments: Any, E: Any = None, **named: Any) -> Regulator:
+    """Regulator u = -K x that minimises the sum of x'Q x + u'R u + 2 x'N u along E x+ = A x + B u.
 
     Called as dlqr(A, B, Q, R[, N]) or dlqr(sys, Q, R[, N]). Parameters, returns and raises as `lqr`, with
-    S = A'S A - (A'S B + N) (R + B'S B)^-1 (A'S B + N)' + Q and the unit circle for the imaginary axis.
+    E'S E = A'S A - (A'S B + N) (R + B'S B)^-1 (A'S B + N)' + Q and the unit circle for the imaginary axis. R may be
+    singular, zero or indefinite where R + B'S B is positive definite.
     """
     given = _arguments("dlqr", ("Q", "R", "N"), arguments, named)
-    if given.whole and not given.G.discrete:
+    if given.dt == 0:
         raise ModelError("sys is continuous; pass a discrete system (c2d), or call lqr")
-    return _regulator(given.G, *given.weights, discrete=True)
+    Q, R, N = given.weights
+    return _regulator(given.A, given.B, Q, R, N, E, discrete=True)
 
 
 class Given(NamedTuple):
     """The arguments of a regulator."""
 
-    G: StateSpace  # its A and B
-    whole: bool  # a system was given, whose timebase counts
+    A: np.ndarray  # (n, n)
+    B: np.ndarray  # (n, m)
+    dt: float | None  # s, 0 in continuous time; None where no system was given
     weights: list[Any]
 
 
@@ -106,13 +153,14 @@ def _arguments(function: str, names: tuple[str, ...], positional: tuple[Any, ...
         raise ModelError(f"{function} was not given {', '.join(missing)}; call {call}")
     weights = [found.get(name) for name in names]
     if whole:
-        return Given(as_system("sys", found["sys"]), True, weights)
+        G = as_system("sys", found["sys"])
+        return Given(G.A, G.B, G.dt, weights)
     A, B = as_matrix("A", found["A"]), as_array("B", found["B"], "pass a real matrix, states x inputs")
     B = as_matrix("B", B.reshape(-1, 1) if B.ndim < 2 and len(A) > 1 else B)
     n = len(B)
     if A.shape != (n, n):
         raise ModelError(f"A is {A.shape[0]} x {A.shape[1]} where {n} x {n} is needed for B, which has {n} rows")
-    return Given(StateSpace(A, B, np.zeros((1, n)), np.zeros((1, B.shape[1]))), False, weights)
+    return Given(A, B, None, weights)
 
 
 def _is_system(value: Any) -> bool:
@@ -140,10 +188,10 @@ class SampledCost(NamedTuple):
 
 
 @overload
-def lqrd(A: Any, B: Any, Q: Any, R: Any, dt: Any) -> Gains: ...
+def lqrd(A: Any, B: Any, Q: Any, R: Any, dt: Any) -> Regulator: ...
 @overload
-def lqrd(sys: Any, Q: Any, R: Any, dt: Any, /) -> Gains: ...
-def lqrd(*arguments: Any, **named: Any) -> Gains:
+def lqrd(sys: Any, Q: Any, R: Any, dt: Any, /) -> Regulator: ...
+def lqrd(*arguments: Any, **named: Any) -> Regulator:
     """Regulator u = -K x, held for `dt` s, that minimises the integral of x'Q x + u'R u along dx = A x + B u.
 
     Called as lqrd(A, B, Q, R, dt) or lqrd(sys, Q, R, dt).
@@ -163,10 +211,10 @@ def lqrd(*arguments: Any, **named: Any) -> Gains:
     ModelError, AssumptionError, NumericalError : as `lqr`; also for a period that loses stabilisability.
     """
     given = _arguments("lqrd", ("Q", "R", "dt"), arguments, named)
-    if given.G.discrete:
-        raise ModelError(f"sys has dt = {given.G.dt}; lqrd samples a continuous system itself")
-    A, B, n, m = given.G.A, given.G.B, given.G.n, given.G.nu
-    Q, R = as_cost("Q", given.weights[0], n), as_cost("R", given.weights[1], m, definite=True)
+    if given.dt:
+        raise ModelError(f"sys has dt = {given.dt}; lqrd samples a continuous system itself")
+    A, B, (n, m) = given.A, given.B, given.B.shape
+    Q, R = as_symmetric("Q", given.weights[0], n), as_cost("R", given.weights[1], m, definite=True)
     dt = as_number("dt", given.weights[2], "the control period in seconds", above=0)
     scales = _scales(A, B, Q)
     A, B, Q = A * scales / scales[:, None], B / scales[:, None], scales[:, None] * Q * scales
@@ -180,8 +228,10 @@ def lqrd(*arguments: Any, **named: Any) -> Gains:
             f"the fastest mode of A, {np.abs(np.linalg.eigvals(A)).max():.4g} rad/s, has too many time constants in "
             f"dt = {dt:g} s for an exponential; pass a shorter period, or a model without that mode"
         )
-    K, S, E = dlqr(cost.F, cost.G, (cost.Q + cost.Q.T) / 2, (cost.R + cost.R.T) / 2, cost.N)
-    return K / scales, S / scales / scales[:, None], E
+    Q, R = (cost.Q + cost.Q.T) / 2, (cost.R + cost.R.T) / 2
+    found = _regulator(cost.F, cost.G, Q, R, cost.N, None, discrete=True)
+    K, S, E = found
+    return Regulator(K / scales, S / scales / scales[:, None], E, lambda: found._judged)
 
 
 def sampled_cost(A: Any, B: Any, Q: Any, R: Any, dt: Any, *, xp: Any = np, expm: Any = sla.expm) -> SampledCost:
@@ -233,75 +283,31 @@ def lqg(G: Any, QXU: Any, QWV: Any) -> StateSpace:
     W, V = as_cost("QXU", QXU, n + m), as_cost("QWV", QWV, n + p)
     as_cost("the block of u in QXU", W[n:, n:], m, definite=True)
     as_cost("the block of v in QWV", V[n:, n:], p, definite=True)
-    K = _regulator(G, W[:n, :n], W[n:, n:], W[:n, n:], discrete=G.discrete)[0]
-    dual = StateSpace(G.A.T, G.C.T, G.B.T, G.D.T, G.dt)
-    L = _regulator(dual, V[:n, :n], V[n:, n:], V[:n, n:], discrete=G.discrete)[0].T
+    K = _regulator(G.A, G.B, W[:n, :n], W[n:, n:], W[:n, n:], None, discrete=G.discrete)[0]
+    L = _regulator(G.A.T, G.C.T, V[:n, :n], V[n:, n:], V[:n, n:], None, discrete=G.discrete)[0].T
     return StateSpace(G.A - G.B @ K - L @ (G.C - G.D @ K), L, -K, np.zeros((m, p)), G.dt)
 
 
-def _regulator(G: StateSpace, Q: Any, R: Any, N: Any, *, discrete: bool) -> Gains:
+def _regulator(A: Any, B: Any, Q: Any, R: Any, N: Any, E: Any, *, discrete: bool) -> Regulator:
     """`lqr` or `dlqr`."""
-    A, B, n, m = G.A, G.B, G.n, G.nu
-    N = as_matrix("N", np.zeros((n, m)) if N is None else N, (n, m))
-    Q, R = as_cost("Q", Q, n), as_cost("R", R, m, definite=True)
-    as_cost("[[Q, N], [N', R]]", np.block([[Q, N], [N.T, R]]), n + m)
+    n, m = B.shape
     if n == 0:
         raise ModelError("A has no states; there is nothing to regulate")
-    scales = _scales(A, B, Q)
-    A, B, Q, N = A * scales / scales[:, None], B / scales[:, None], scales[:, None] * Q * scales, scales[:, None] * N
-    _check_stabilisable(A, B, discrete)
-    F = np.linalg.solve(R, N.T)
-    _check_seen(A - B @ F, Q - N @ F, discrete)
-    try:
-        if discrete:
-            S = sla.solve_discrete_are(A, B, Q, R, s=N)
-            K = np.linalg.solve(R + B.T @ S @ B, B.T @ S @ A + N.T)
-        else:
-            S = sla.solve_continuous_are(A, B, Q, R, s=N)
-            K = np.linalg.solve(R, B.T @ S + N.T)
-    except np.linalg.LinAlgError as error:
-        raise NumericalError(
-            f"the Riccati equation was not solved ({error}); rescale the states or the weights"
-        ) from None
-    E = np.linalg.eigvals(A - B @ K).astype(complex)
-    if (np.abs(E).max() >= 1) if discrete else (E.real.max() >= 0):
-        raise NumericalError(
-            f"the regulator found leaves a pole at {E[np.argmax(np.abs(E) if discrete else E.real)]:.6g}: the weights "
-            "hardly see it or the actuators hardly move it; rescale the states or change the weights"
-        )
-    return K / scales, (S + S.T) / 2 / scales / scales[:, None], E
+    Q, R = as_symmetric("Q", Q, n), as_symmetric("R", R, m)
+    if not discrete and not is_definite(R):
+        as_cost("R", R, m, definite=True)  # which names the eigenvalue
+        raise ModelError("R is not positive definite to rounding; every command must cost something")
+    N = np.zeros((n, m)) if N is None else as_matrix("N", N, (n, m))
+    if E is not None:
+        E = as_matrix("E", E, (n, n))
+        check_descriptor(E)
+    equation = Equation(A, B, Q, R, N, E, discrete)
+    found = solve(equation)
+    if not found.ok:
+        raise failure(equation, found)
+    return Regulator(found.K, (found.X + found.X.T) / 2, found.poles, found.judge)
 
 
 def _scales(A: np.ndarray, B: np.ndarray, Q: np.ndarray) -> np.ndarray:
     """Powers of two, (n,), x = scales x_new, for which states are of like size; going back is exact."""
-    return state_scales(Matrices(A, B, np.diag(np.sqrt(np.maximum(np.diag(Q), 0.0))), np.zeros((len(A), B.shape[1]))))
-
-
-def _check_stabilisable(A, B, discrete: bool) -> None:
-    """Raise AssumptionError unless (A, B) can be stabilised."""
-    n, m = B.shape
-    I, O = np.eye(n), np.zeros
-    try:
-        check_assumptions(
-            GeneralizedPlant(
-                A=A, B1=I, B2=B, C1=I, D11=O((n, n)), D12=O((n, m)), C2=I, D21=O((n, n)), D22=O((n, m)),
-                dt=1.0 if discrete else 0.0,
-            )
-        )  # fmt: skip
-    except AssumptionError as error:
-        raise AssumptionError("(A, B) stabilisable", str(error), error.modes) from None
-
-
-def _check_seen(A, Q, discrete: bool) -> None:
-    """Raise AssumptionError for a mode on the stability boundary that Q does not see."""
-    size, weight = np.linalg.norm(A, 2) or 1.0, np.linalg.norm(Q, 2) or 1.0
-    for mode in np.linalg.eigvals(A):
-        off = abs(abs(mode) - 1) if discrete else abs(mode.real) / size
-        pencil = np.vstack([(A - mode * np.eye(len(A))) / size, Q / weight])
-        if off < UNSEEN and np.linalg.svd(pencil, compute_uv=False)[-1] < UNSEEN:
-            raise AssumptionError(
-                "(Q, A) without unseen modes on the stability boundary",
-                f"Q does not see the mode at eigenvalue {mode:.6g} of A, which neither decays nor grows, so that the "
-                "best regulator leaves it there; give it some weight",
-                (complex(mode),),
-            )
+    return state_scales(Matrices(A, B, np.diag(np.sqrt(np.abs(np.diag(Q)))), np.zeros((len(A), B.shape[1]))))

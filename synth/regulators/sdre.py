@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from synth.checks import as_weight, shown
+from synth.checks import as_cost, shown
 from synth.equations.riccati import closed_loop_rate, continued, discrete_stabilising, stabilising, stabilising_pair
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.regulators.quaternion import as_period
@@ -121,8 +121,8 @@ class SdreSampled:
     def create(cls, model: Factorisation, dt: float, *, Q: Any = None, R: Any = None) -> SdreSampled:
         """Parameters and errors of `Sdre.create`."""
         A, B = _linear(model)
-        Q = as_weight("Q", 1.0 if Q is None else Q, len(A))
-        R = as_weight("R", 1.0 if R is None else R, B.shape[1])
+        Q = as_cost("Q", 1.0 if Q is None else Q, len(A))
+        R = as_cost("R", 1.0 if R is None else R, B.shape[1], definite=True)
         K, _, _ = lqrd(A, B, Q, R, as_period(dt))
         return cls(model=model, Q=Q, R=R, gain=K, dt=as_period(dt))
 
@@ -343,7 +343,7 @@ def _at_rest(model: Factorisation, Q: Any, R: Any) -> dict[str, Any]:
     """Weights, and the regulator at the target."""
     A, B = _linear(model)
     n, m = B.shape
-    Q, R = as_weight("Q", 1.0 if Q is None else Q, n), as_weight("R", 1.0 if R is None else R, m)
+    Q, R = as_cost("Q", 1.0 if Q is None else Q, n), as_cost("R", 1.0 if R is None else R, m, definite=True)
     K, X, _ = lqr(A, B, Q, R)
     R_inverse = np.linalg.inv(R)
     shift = float(closed_loop_rate(A, B @ R_inverse @ B.T, Q))

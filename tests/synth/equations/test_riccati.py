@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
-from synth.equations import riccati
+from synth.equations import are, riccati
 from synth.errors import ModelError
 
 GAIN = 1e-10  # relative, against SciPy
@@ -30,7 +30,7 @@ def scipy_care(A, B, Q):
 
 def test_gain_agrees_with_scipy_on_a_thousand_pairs():
     A, B, Q = random_pairs(1000)
-    s = riccati.care(A, B, Q)
+    s = are.care(A, B, Q)
     assert s.ok.all()
     assert relative(B.mT @ s.X, B.mT @ scipy_care(A, B, Q)).max() < GAIN
     assert np.linalg.eigvals(A - B @ B.mT @ s.X).real.max() < 0
@@ -38,7 +38,7 @@ def test_gain_agrees_with_scipy_on_a_thousand_pairs():
 
 def test_one_weighted_direction_is_enough():
     A, B, Q = random_pairs(300, rank=1, seed=1)
-    s = riccati.care(A, B, Q)
+    s = are.care(A, B, Q)
     assert s.ok.all()
     assert relative(B.mT @ s.X, B.mT @ scipy_care(A, B, Q)).max() < GAIN
 
@@ -48,7 +48,7 @@ def test_other_orders_and_a_weight_of_the_command(n, m):
     A, B, Q = random_pairs(20, n, m, seed=n)
     F = np.random.default_rng(n).standard_normal((m, m))
     R = F @ F.T + np.eye(m)
-    s = riccati.care(A, B, Q, R)
+    s = are.care(A, B, Q, R)
     expected = np.array([sla.solve_continuous_are(a, b, q, R) for a, b, q in zip(A, B, Q, strict=True)])
     assert s.ok.all()
     assert relative(s.X, expected).max() < GAIN
@@ -56,7 +56,7 @@ def test_other_orders_and_a_weight_of_the_command(n, m):
 
 def test_double_integrator_by_hand():
     """Unit weights on 1/s^2: X = [[sqrt 3, 1], [1, sqrt 3]]."""
-    s = riccati.care([[0, 1], [0, 0]], [[0], [1]], np.eye(2))
+    s = are.care([[0, 1], [0, 0]], [[0], [1]], np.eye(2))
     assert s.X.shape == (2, 2)
     np.testing.assert_allclose(s.X, [[np.sqrt(3), 1], [1, np.sqrt(3)]], rtol=1e-13)
 
@@ -64,18 +64,19 @@ def test_double_integrator_by_hand():
 def test_expensive_control_mirrors_the_unstable_pole():
     """x' = x + u with hardly any weight on x: the Cayley rate would be A's own pole, were it not moved away."""
     q = 1e-9
-    np.testing.assert_allclose(riccati.care([[1.0]], [[1.0]], [[q]]).X, [[1 + np.sqrt(1 + q)]], rtol=1e-13)
-    assert riccati.care([[-1.0]], [[1.0]], [[0.0]]).X == 0.0
-    assert not riccati.care([[1.0]], [[1.0]], [[0.0]]).ok  # not detectable
+    np.testing.assert_allclose(are.care([[1.0]], [[1.0]], [[q]]).X, [[1 + np.sqrt(1 + q)]], rtol=1e-13)
+    assert are.care([[-1.0]], [[1.0]], [[0.0]]).X == 0.0
+    np.testing.assert_allclose(are.care([[1.0]], [[1.0]], [[0.0]]).X, 2.0, rtol=1e-13)  # unseen, yet mirrored to -1
+    assert not are.care([[0.0]], [[1.0]], [[0.0]]).ok  # the boundary has no mirror image
 
 
 def test_no_solution_is_a_value_and_leaves_its_neighbours_alone():
     A, B, Q = random_pairs(40, seed=2)
-    alone = riccati.care(A[5], B[5], Q[5])
+    alone = are.care(A[5], B[5], Q[5])
     A[3] = np.diag([1.0, -1, -2, -3, -4, -5])  # an unstable mode that no input moves
     B[3, 0] = 0
     A[8], Q[8] = 0.0, 0.0  # integrators that are not weighted
-    s = riccati.care(A, B, Q)
+    s = are.care(A, B, Q)
     assert np.flatnonzero(~s.ok).tolist() == [3, 8]
     np.testing.assert_array_equal(s.X[5], alone.X)
 
@@ -117,37 +118,37 @@ def test_a_guess_is_continued_and_a_bad_one_replaced():
 
 def test_result_does_not_depend_on_the_batch():
     A, B, Q = random_pairs(70, seed=6)
-    whole = riccati.care(A, B, Q).X
+    whole = are.care(A, B, Q).X
     for part in (slice(0, 1), slice(10, 17), slice(20, 60)):
-        np.testing.assert_array_equal(riccati.care(A[part], B[part], Q[part]).X, whole[part])
+        np.testing.assert_array_equal(are.care(A[part], B[part], Q[part]).X, whole[part])
 
 
 @pytest.mark.slow
 def test_batches_of_batches_and_shared_operands():
     A, B, Q = random_pairs(6, seed=7)
     G, rate = B @ B.mT, rate_of(A, B, Q)
-    expected = riccati.care(A, B, Q).X
+    expected = are.care(A, B, Q).X
     with jax.enable_x64(True):
         grid = jax.vmap(jax.vmap(riccati.stabilising))(*(a.reshape(2, 3, *a.shape[1:]) for a in (A, G, Q, rate)))
         shared = jax.vmap(riccati.stabilising, (None, None, 0, None))(A[0], G[0], Q, rate[0])
     np.testing.assert_allclose(np.asarray(grid.X).reshape(6, 6, 6), expected, rtol=1e-11)
     np.testing.assert_allclose(shared.X[0], expected[0], rtol=1e-11)
-    np.testing.assert_allclose(riccati.care(A[0], B[0], Q).X[0], expected[0], rtol=1e-11)
+    np.testing.assert_allclose(are.care(A[0], B[0], Q).X[0], expected[0], rtol=1e-11)
 
 
 def test_discrete_agrees_with_scipy():
     A, B, Q = random_pairs(300, seed=8)
     A *= 0.6
-    s = riccati.dare(A, B, Q)
+    s = are.dare(A, B, Q)
     assert s.ok.all()
     expected = np.array([sla.solve_discrete_are(a, b, q, np.eye(3)) for a, b, q in zip(A, B, Q, strict=True)])
     assert relative(s.X, expected).max() < GAIN
-    assert not riccati.dare([[2.0]], [[0.0]], [[1.0]]).ok
+    assert not are.dare([[2.0]], [[0.0]], [[1.0]]).ok
 
 
 def test_the_callers_jax_is_left_as_it_was():
     before = jax.config.jax_enable_x64
-    riccati.care([[0.0]], [[1.0]], [[1.0]])
+    are.care([[0.0]], [[1.0]], [[1.0]])
     assert jax.config.jax_enable_x64 == before
 
 
@@ -164,11 +165,12 @@ def test_single_precision_is_refused():
         ({"Q": np.full((2, 2), np.nan)}, "Q is no array of finite"),
         ({"R": np.eye(3)}, r"R has shape \(3, 3\)"),
         ({"B": [1.0, 2.0]}, "B is no array"),
-        ({"Q": np.diag([1.0, -1.0])}, "Q is not symmetric positive"),
-        ({"Q": np.array([[1.0, 1.0], [0.0, 1.0]])}, "Q is not symmetric positive"),
+        ({"Q": np.array([[1.0, 1.0], [0.0, 1.0]])}, "Q is not symmetric: asymmetry 1"),
         ({"R": np.zeros((1, 1))}, "R is not symmetric positive definite: eigenvalue 0"),
+        ({"N": np.ones((1, 2))}, r"N has shape \(1, 2\).*needs 2 x 1"),
+        ({"E": np.ones((2, 2))}, "E is singular"),
     ],
 )
 def test_bad_data_is_named(change, message):
     with pytest.raises(ModelError, match=message):
-        riccati.care(**({"A": np.eye(2), "B": np.ones((2, 1)), "Q": np.eye(2)} | change))
+        are.care(**({"A": np.eye(2), "B": np.ones((2, 1)), "Q": np.eye(2)} | change))

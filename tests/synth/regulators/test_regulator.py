@@ -69,12 +69,13 @@ def test_unseen_mode_on_the_boundary_is_named():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"Q": -np.eye(2)}, "Q has the eigenvalue -1"),
         ({"R": [[0.0]]}, "R has the eigenvalue 0"),
         ({"Q": [[1.0, 1.0], [0.0, 1.0]]}, "Q is not symmetric"),
         ({"A": np.full((2, 2), np.nan)}, r"A\[0, 0\] is nan"),
         ({"B": np.ones((3, 1))}, "A is 2 x 2 where 3 x 3"),
-        ({"N": [[2.0], [0.0]]}, r"\[\[Q, N\], \[N', R\]\] has the eigenvalue"),
+        ({"R": [[-1.0]]}, "R has the eigenvalue -1"),
+        ({"E": np.ones((2, 2))}, "E is singular"),
+        ({"E": np.eye(3)}, "E is 3 x 3 where 2 x 2"),
     ],
 )
 def test_bad_data_is_named(change, message):

@@ -1,0 +1,336 @@
+"""Algebraic Riccati equations `care`, `dare` with a verdict: one, or thousands at once, in NumPy.
+
+A batch is doubled and corrected by one step of Newton's method, all lanes together. What rounding leaves in doubt there
+is solved alone: on states scaled by powers of two, from several starts, refined until the residual no longer falls.
+A solution is accepted when its residual is small on the data given, and when its closed loop is stable for all that
+rounding may have done (`synth.equations.refinement`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.linalg import get_lapack_funcs
+
+from synth.checks import SYMMETRIC, as_array
+from synth.equations.refinement import (
+    CERTAIN,
+    Equation,
+    Evaluated,
+    Inverse,
+    Judged,
+    by_schur,
+    by_squaring,
+    evaluate,
+    judged,
+    rooted,
+    size,
+)
+from synth.equations.starts import Folded, doubling, folded, hamiltonian, pencil, schur
+from synth.errors import ModelError
+from synth.systems.modes import crosses, unreachable, unseen
+
+ACCURATE = 1e-12  # relative residual at which no other start is tried
+TOGETHER = 1e-13  # relative residual up to which a lane needs no solution of its own
+ACCEPTED = 1e-9  # relative residual; a solution worse than this is no solution
+SINGULAR = 1e-14  # relative singular value of a descriptor matrix
+FAR = 1e-5  # relative distance of a closed loop's poles from the axis that no double root leaves
+SETTLED = 1e-10  # relative size of a step of Newton's method whose square is lost in rounding
+NEWTON_STEPS = 20
+STEPS_TOGETHER = 8  # of Newton's method; a lane that needs more is solved alone
+LANES = 2**17  # numbers in one matrix of all lanes that go together: they stay near the processor
+
+(gebal,) = get_lapack_funcs(("gebal",), dtype=np.float64)
+
+
+class Solution(NamedTuple):
+    """Stabilising solution of a Riccati equation; without meaning where `ok` is false."""
+
+    X: Any  # (..., n, n)
+    ok: Any  # (...) bool
+
+
+class Solved(NamedTuple):
+    """Stabilising solution of one equation, and how good it is."""
+
+    X: np.ndarray  # (n, n)
+    K: np.ndarray  # (m, n) u = -K x
+    poles: np.ndarray  # (n,) complex, of the closed loop
+    ok: bool
+    judge: Callable[[], Judged]  # residual, condition and doubt, when they are asked for
+
+
+class Found(NamedTuple):
+    """A refined solution, its Lyapunov operator's inverse, and the poles where they fell out."""
+
+    v: Evaluated
+    inverse: Inverse
+    poles: np.ndarray | None
+    settled: bool  # Newton's last step was as good as nothing
+
+    def plain(self, e: Equation) -> bool:
+        """Whether it is certain at a glance: settled, its residual nothing beside Q, its poles far from the axis."""
+        return bool(
+            self.settled
+            and self.poles is not None
+            and size(self.v.off) <= ACCURATE * size(e.Q)
+            and -max(np.real(self.poles).tolist()) > FAR * size(self.v.closed)
+        )
+
+
+def care(A, B, Q, R=None, N=None, E=None) -> Solution:
+    """Stabilising solutions of A'X E + E'X A - (E'X B + N) R^-1 (E'X B + N)' + Q = 0, one or many, as NumPy arrays.
+
+    Parameters
+    ----------
+    A : (..., n, n); B : (..., n, m); Q : (..., n, n) symmetric, of any signature
+    R : (..., m, m) symmetric, positive definite; identity when left out
+    N : (..., n, m) cross weight; zero when left out
+    E : (..., n, n) invertible; identity when left out
+
+    Returns
+    -------
+    Solution : X (..., n, n) and ok (...); not ok where (A, B) cannot be stabilised, where Q does not see a mode on the
+        imaginary axis, or where an indefinite Q leaves no optimum
+
+    Raises
+    ------
+    ModelError : shapes do not fit, a number is not finite, Q or R is not symmetric, R not positive, E singular.
+    """
+    return _all(_checked(A, B, Q, R, N, E, discrete=False))
+
+
+def dare(A, B, Q, R=None, N=None, E=None) -> Solution:
+    """Stabilising solutions of E'X E = A'X A - (A'X B + N) (R + B'X B)^-1 (A'X B + N)' + Q, as `care`.
+
+    The boundary is the unit circle. R may be singular or zero: of a solution, R + B'X B is positive definite.
+    """
+    return _all(_checked(A, B, Q, R, N, E, discrete=True))
+
+
+def solve(e: Equation) -> Solved:
+    """Stabilising solution of one equation with finite data, R symmetric and, in continuous time, positive definite."""
+    n = len(e.A)
+    with np.errstate(all="ignore"):
+        inverse_E = None if e.E is None else np.linalg.inv(e.E)
+        try:
+            f = folded(e, inverse_E)
+            H = hamiltonian(f)
+            t = _scales(H)
+        except np.linalg.LinAlgError:  # R is singular
+            f, H, t = None, None, np.ones(n)
+        e, r = _scaled(e, t)
+        if inverse_E is not None:
+            inverse_E = inverse_E / t[:, None] / r
+        best, ok, least = None, False, np.inf
+        for X in _starts(e, f, H, t, inverse_E):
+            if X is None or (found := _refined(e, X, inverse_E)) is None:
+                continue
+            if found.plain(e):
+                best, ok = found, True
+                break
+            j = judged(e, found.v, found.inverse, inverse_E)
+            if j.residual < least:
+                best, least = found, j.residual
+                ok = j.residual <= ACCEPTED and (j.doubt < CERTAIN or _stands(e, found.v))
+            if ok and least <= ACCURATE:
+                break
+    if best is None:
+        nothing = np.full((n, n), np.nan)
+        return Solved(nothing, nothing, nothing[0].astype(complex), False, lambda: Judged(np.inf, np.inf, np.inf))
+    v, inverse, poles, _ = best
+    poles = np.linalg.eigvals(v.closed).astype(complex) if poles is None else poles
+    return Solved(r[:, None] * v.X * r, v.K / t, poles, bool(ok), partial(judged, e, v, inverse, inverse_E))
+
+
+def _scaled(e: Equation, t: np.ndarray) -> tuple[Equation, np.ndarray]:
+    """The equation of the states x / t, and the powers of two r, (n,), by which its rows were multiplied."""
+    n, m = e.B.shape
+    if e.E is None:
+        E, r = None, 1 / t
+    else:
+        E = e.E * t
+        r = np.exp2(-np.round(np.log2(np.abs(E).max(1))))
+        E = r[:, None] * E
+    data = np.empty((2 * n, n + m))
+    data[:n, :n], data[:n, n:], data[n:, :n], data[n:, n:] = e.A, e.B, e.Q, e.N
+    data *= np.concatenate([r, t])[:, None]
+    data[:, :n] *= t
+    return Equation(data[:n, :n], data[:n, n:], data[n:, :n], e.R, data[n:, n:], E, e.discrete), r
+
+
+def _scales(H: np.ndarray) -> np.ndarray:
+    """Powers of two, (n,), x = scales x_new, that balance a Hamiltonian matrix; going back is exact."""
+    n = len(H) // 2
+    *_, s, _ = gebal(np.abs(H), scale=1, permute=0)
+    t = np.exp2(np.round(np.log2(s[:n] / s[n:]) / 2))
+    return t if math.isfinite(t @ (1 / t)) else np.ones(n)
+
+
+def _starts(e, f, H, t, inverse_E) -> Iterator[np.ndarray | None]:
+    """First solutions of the scaled equation, the quickest first."""
+    if f is not None:
+        back = (lambda X: X) if inverse_E is None else (lambda X: inverse_E.T @ X @ inverse_E)
+        columns = t[:, None]
+        if not e.discrete:
+            d = np.concatenate([t, 1 / t])
+            if (X := schur(H * d / d[:, None])) is not None:
+                yield back(X)
+        scaled = Folded(f.A * t / columns, f.G / t / columns, columns * f.Q * t)
+        yield back(doubling(Folded(*(M[None] for M in scaled)), discrete=e.discrete)[0])
+    yield pencil(e)
+
+
+def _refined(e: Equation, X: np.ndarray, inverse_E: np.ndarray | None) -> Found | None:
+    """Newton's method until the residual no longer falls, or must be at rounding; None where no loop is stable."""
+    best, least, settled = None, np.inf, False
+    for _ in range(NEWTON_STEPS):
+        try:
+            v = evaluate(e, X, inverse_E)
+        except np.linalg.LinAlgError:
+            break
+        left = size(v.off)
+        if not left < least and not settled:
+            break
+        if e.discrete:
+            (stable, inverse), poles = by_squaring(v.closed, True), None
+        else:
+            poles, inverse = by_schur(v.closed)
+            stable = max(np.real(poles).tolist()) < 0
+        if not stable:
+            break
+        best = Found(v, inverse, poles, settled)
+        if settled or left > least / 2:
+            break
+        D, least = inverse(v.off), left
+        if inverse_E is not None:
+            D = inverse_E.T @ D @ inverse_E
+        X = X + D
+        X = (X + X.T) / 2
+        settled = size(D) <= SETTLED * size(X)
+    return best
+
+
+def _stands(e: Equation, v: Evaluated) -> bool:
+    """Whether the regulator is right mode by mode although the equation as a whole is ill-conditioned.
+
+    For semidefinite weights alone: every mode that does not decay by itself is moved and, on the boundary, seen.
+    """
+    if crosses(v.closed, discrete=e.discrete) or not semidefinite(e):
+        return False
+    A, B = (e.A, e.B) if e.E is None else (np.linalg.solve(e.E, e.A), np.linalg.solve(e.E, e.B))
+    F = np.linalg.pinv(e.R, hermitian=True) @ e.N.T
+    seen = not unseen(A - B @ F, e.Q - e.N @ F, discrete=e.discrete)
+    return seen and not unreachable(A, B, discrete=e.discrete)
+
+
+def semidefinite(e: Equation) -> bool:
+    """Whether [[Q, N], [N', R]] is positive semidefinite to rounding, its diagonal scaled to one."""
+    W = np.block([[e.Q, e.N], [e.N.T, e.R]])
+    d = np.sqrt(np.abs(np.diag(W)))
+    d[d == 0] = 1.0
+    return bool(np.linalg.eigvalsh(W / np.outer(d, d))[0] > -SYMMETRIC * len(W))
+
+
+def _all(e: Equation) -> Solution:
+    """Every lane: together, and alone where that leaves doubt."""
+    lead, n = e.A.shape[:-2], e.A.shape[-1]
+    lanes = e.each(lambda M: M.reshape(-1, *M.shape[-2:]))
+    X, ok, count = np.zeros(lanes.A.shape), np.zeros(len(lanes.A), bool), max(LANES // max(n, 1) ** 2, 1)
+    for k in range(0, len(X) if n else 0, count):
+        part = slice(k, k + count)
+        X[part], ok[part] = _together(lanes.each(lambda M, part=part: M[part]))
+    for k in np.flatnonzero(~ok) if n else ():
+        alone = solve(lanes.each(lambda M, k=k: M[k]))
+        X[k], ok[k] = alone.X, alone.ok
+    return Solution(X.reshape(*lead, n, n), (ok | (n == 0)).reshape(lead))
+
+
+def _together(e: Equation) -> tuple[np.ndarray, np.ndarray]:
+    """X of many equations, (b, n, n), and where it is certain, (b)."""
+    with np.errstate(all="ignore"):
+        inverse_E = None if e.E is None else np.linalg.inv(e.E)
+        try:
+            f = folded(e, inverse_E)
+        except np.linalg.LinAlgError:
+            return np.full(e.A.shape, np.nan), np.zeros(len(e.A), bool)
+        X, certain, lanes = doubling(f, discrete=e.discrete), np.zeros(len(e.A), bool), np.arange(len(e.A))
+        if inverse_E is not None:
+            X = inverse_E.mT @ X @ inverse_E
+        for _ in range(STEPS_TOGETHER):
+            part = lanes if len(lanes) < len(X) else slice(None)
+            own = None if inverse_E is None else inverse_E[part]
+            X[part], certain[part] = _step(e.each(lambda M, part=part: M[part]), X[part], own)
+            lanes = np.flatnonzero(~certain & np.isfinite(X).all((-2, -1)))
+            if not len(lanes):
+                break
+    return X, certain
+
+
+def _step(e: Equation, X: np.ndarray, inverse_E: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Newton's step from X (b, n, n), and where what it leads to is certain."""
+    v = evaluate(e, X, inverse_E)
+    stable, inverse = by_squaring(v.closed, e.discrete)
+    D = inverse(v.off)
+    X = X + (D if inverse_E is None else inverse_E.mT @ D @ inverse_E)
+    v = evaluate(e, (X + X.mT) / 2, inverse_E)
+    j = judged(e, v, inverse, inverse_E)  # whose closed loop is the last one's but for the square of D
+    return v.X, stable & (j.residual <= TOGETHER) & (j.doubt < CERTAIN)
+
+
+def _checked(A, B, Q, R, N, E, *, discrete: bool) -> Equation:
+    """The arguments with the same leading axes, as NumPy arrays."""
+    named = {"A": A, "B": B, "Q": Q} | {k: M for k, M in {"R": R, "N": N, "E": E}.items() if M is not None}
+    arrays = {name: as_array(name, value, finite=False) for name, value in named.items()}
+    for name, value in arrays.items():
+        if value.ndim < 2 or not np.isfinite(value).all():
+            raise ModelError(f"{name} is no array of finite matrices (shape {value.shape}); pass (..., rows, columns)")
+    n, m = arrays["B"].shape[-2:]
+    for name, want in {"A": (n, n), "Q": (n, n), "R": (m, m), "N": (n, m), "E": (n, n)}.items():
+        if name in arrays and arrays[name].shape[-2:] != want:
+            raise ModelError(f"{name} has shape {arrays[name].shape}; B of {n} x {m} needs {want[0]} x {want[1]}")
+    for name in {"Q", "R"} & set(arrays):
+        M = arrays[name]
+        skew = np.abs(M - M.mT).max(initial=0.0)
+        if skew > SYMMETRIC * np.abs(M).max(initial=0.0):
+            raise ModelError(f"{name} is not symmetric: asymmetry {skew:.6g}; pass ({name} + {name}')/2, the same cost")
+        if skew > 0:
+            arrays[name] = (M + M.mT) / 2
+    if R is not None and not discrete and not is_definite(arrays["R"]):
+        least = np.linalg.eigvalsh(arrays["R"]).min()
+        raise ModelError(f"R is not symmetric positive definite: eigenvalue {least:.6g}")
+    if E is not None:
+        check_descriptor(arrays["E"])
+    full = {"R": np.eye(m), "N": np.zeros((n, m))} | arrays
+    try:
+        lead = np.broadcast_shapes(*(M.shape[:-2] for M in full.values()))
+    except ValueError:
+        shapes = ", ".join(f"{name} {M.shape}" for name, M in arrays.items())
+        raise ModelError(f"the leading axes do not fit: {shapes}; pass as many of each, or one") from None
+    wide = {name: np.broadcast_to(M, (*lead, *M.shape[-2:])) for name, M in full.items()}
+    return Equation(wide["A"], wide["B"], wide["Q"], wide["R"], wide["N"], wide.get("E"), discrete)
+
+
+def is_definite(R: np.ndarray) -> bool:
+    """Whether symmetric matrices are positive definite beyond rounding; the units of each row do not matter."""
+    try:
+        roots = np.diagonal(rooted(R), axis1=-2, axis2=-1)
+    except np.linalg.LinAlgError:
+        return False
+    return bool((roots**2 > SYMMETRIC * np.diagonal(R, axis1=-2, axis2=-1)).all())
+
+
+def check_descriptor(E: np.ndarray) -> None:
+    """Raise ModelError for a singular descriptor matrix (..., n, n); units of its rows and columns do not matter."""
+    with np.errstate(all="ignore"):
+        scaled = E / np.abs(E).max(-1, keepdims=True)
+        scaled = scaled / np.abs(scaled).max(-2, keepdims=True)
+    if np.isfinite(scaled).all():
+        values = np.linalg.svd(scaled, compute_uv=False)
+        if (values[..., -1:] > SINGULAR * values[..., :1]).all():
+            return
+    raise ModelError("E is singular; pass an invertible descriptor matrix, with the algebraic equations eliminated")
