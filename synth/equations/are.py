@@ -32,13 +32,16 @@ from synth.equations.refinement import (
 )
 from synth.equations.starts import Folded, doubling, folded, hamiltonian, pencil, schur
 from synth.errors import ModelError
-from synth.systems.modes import crosses, unreachable, unseen
+from synth.systems.modes import crosses, decay, doubts, unreachable, unseen
 
 ACCURATE = 1e-12  # relative residual at which no other start is tried
 TOGETHER = 1e-13  # relative residual up to which a lane needs no solution of its own
+UNDOUBTED = 1e-3  # doubt up to which a lane needs none
 ACCEPTED = 1e-9  # relative residual; a solution worse than this is no solution
 SINGULAR = 1e-14  # relative singular value of a descriptor matrix
-FAR = 1e-5  # relative distance of a closed loop's poles from the axis that no double root leaves
+FAR = 1e-5  # relative distance of a closed loop's poles from the boundary that rounding does not make
+DOUBTED = 1e6  # doubt beyond which poles that look sound come from multiple roots on the boundary
+PLAIN = 1e-3  # the same at a glance
 SETTLED = 1e-10  # relative size of a step of Newton's method whose square is lost in rounding
 NEWTON_STEPS = 20
 STEPS_TOGETHER = 8  # of Newton's method; a lane that needs more is solved alone
@@ -78,7 +81,7 @@ class Found(NamedTuple):
             self.settled
             and self.poles is not None
             and size(self.v.off) <= ACCURATE * size(e.Q)
-            and -max(np.real(self.poles).tolist()) > FAR * size(self.v.closed)
+            and -max(np.real(self.poles).tolist()) > PLAIN * size(self.v.closed)
         )
 
 
@@ -136,7 +139,7 @@ def solve(e: Equation) -> Solved:
             j = judged(e, found.v, found.inverse, inverse_E)
             if j.residual < least:
                 best, least = found, j.residual
-                ok = j.residual <= ACCEPTED and (j.doubt < CERTAIN or _stands(e, found.v))
+                ok = j.residual <= ACCEPTED and (j.doubt < CERTAIN or _stands(e, found.v, j))
             if ok and least <= ACCURATE:
                 break
     if best is None:
@@ -215,25 +218,38 @@ def _refined(e: Equation, X: np.ndarray, inverse_E: np.ndarray | None) -> Found 
     return best
 
 
-def _stands(e: Equation, v: Evaluated) -> bool:
+def _stands(e: Equation, v: Evaluated, j: Judged) -> bool:
     """Whether the regulator is right mode by mode although the equation as a whole is ill-conditioned.
 
-    For semidefinite weights alone: every mode that does not decay by itself is moved and, on the boundary, seen.
+    Every mode that does not decay by itself is moved, semidefinite weights see those on the boundary, and the closed
+    loop decays. Rounding makes slow poles of multiple roots on the boundary, with a doubt beyond all bounds: either the
+    plant surely has no mode there, or the poles are fast; the doubt is bounded. Indefinite weights say nothing of modes.
     """
-    if crosses(v.closed, discrete=e.discrete) or not semidefinite(e):
-        return False
     A, B = (e.A, e.B) if e.E is None else (np.linalg.solve(e.E, e.A), np.linalg.solve(e.E, e.B))
     F = np.linalg.pinv(e.R, hermitian=True) @ e.N.T
-    seen = not unseen(A - B @ F, e.Q - e.N @ F, discrete=e.discrete)
-    return seen and not unreachable(A, B, discrete=e.discrete)
+    if crosses(v.closed, discrete=e.discrete) or unreachable(A, B, discrete=e.discrete):
+        return False
+    poles = np.linalg.eigvals(v.closed)
+    near = FAR if e.discrete else FAR * np.abs(poles).max()
+    far = bool((decay(poles, discrete=e.discrete) > near).all())
+    if not semidefinite(e):
+        return far and j.doubt < 1
+    own, doubt = doubts(A - B @ F)
+    rates = decay(own, discrete=e.discrete)
+    sure = bool((np.abs(rates) > doubt).all())
+    return (sure or far) and j.doubt < DOUBTED and not unseen(A - B @ F, e.Q - e.N @ F, discrete=e.discrete)
 
 
 def semidefinite(e: Equation) -> bool:
-    """Whether [[Q, N], [N', R]] is positive semidefinite to rounding, its diagonal scaled to one."""
-    W = np.block([[e.Q, e.N], [e.N.T, e.R]])
-    d = np.sqrt(np.abs(np.diag(W)))
+    """Whether the weights of one equation are positive semidefinite to rounding, its states being balanced."""
+    d = np.sqrt(np.abs(np.diag(e.R)))
     d[d == 0] = 1.0
-    return bool(np.linalg.eigvalsh(W / np.outer(d, d))[0] > -SYMMETRIC * len(W))
+    R, N = e.R / np.outer(d, d), e.N / d
+    Q = e.Q - N @ np.linalg.pinv(R, hermitian=True) @ N.T
+    rounding = SYMMETRIC * sum(e.B.shape)
+    return bool(
+        np.linalg.eigvalsh(R)[0] >= -rounding and np.linalg.eigvalsh(Q)[0] >= -rounding * np.abs(e.Q).max(initial=0.0)
+    )
 
 
 def _all(e: Equation) -> Solution:
@@ -279,7 +295,7 @@ def _step(e: Equation, X: np.ndarray, inverse_E: np.ndarray | None) -> tuple[np.
     X = X + (D if inverse_E is None else inverse_E.mT @ D @ inverse_E)
     v = evaluate(e, (X + X.mT) / 2, inverse_E)
     j = judged(e, v, inverse, inverse_E)  # whose closed loop is the last one's but for the square of D
-    return v.X, stable & (j.residual <= TOGETHER) & (j.doubt < CERTAIN)
+    return v.X, stable & (j.residual <= TOGETHER) & (j.doubt < UNDOUBTED)
 
 
 def _checked(A, B, Q, R, N, E, *, discrete: bool) -> Equation:

@@ -28,7 +28,7 @@ import numpy as np
 from scipy.linalg import get_lapack_funcs
 
 ROUNDED = 1e-14  # relative error of data and terms that rounding explains
-CERTAIN = 0.1  # doubt up to which a solution is certain
+CERTAIN = 0.03  # doubt up to which a solution is certain
 UNSEEN = 1e-6  # part of the unit of a driven state, squared a relative cost that rounding explains
 SQUARINGS = 60  # 2^60 samples
 VANISHED = 1e-9  # size of a squared closed loop that counts as zero; the next square is lost in rounding
@@ -129,7 +129,7 @@ def _judged(e: Equation, v: Evaluated, inverse: Inverse, inverse_E: np.ndarray |
     else:
         H = (X if E is None else X @ E).mT @ A
         M = M + H + H.mT
-    w = _units(M, A, e, v)
+    w, dark = _units(M, A, e, v)
     scale = w[..., None] * w[..., None, :]
     residual = largest(v.off / np.maximum(M, scale))
     P = inverse(w[..., None] ** 2 * np.eye(w.shape[-1]))
@@ -140,20 +140,22 @@ def _judged(e: Equation, v: Evaluated, inverse: Inverse, inverse_E: np.ndarray |
     moved = largest(np.abs(PE) @ A / scale)
     rest = size(Bn / w[..., None, :]) ** 2
     condition = size(P) / np.maximum(size(v.X), TINY)
-    return Judged(residual, condition, np.maximum(residual, ROUNDED) * np.maximum(moved, rest))
+    doubt = np.maximum(residual, ROUNDED) * np.maximum(moved, rest)
+    return Judged(residual, condition, np.where(dark.any(-1), np.inf, doubt))
 
 
-def _units(M: np.ndarray, A: np.ndarray, e: Equation, v: Evaluated) -> np.ndarray:
-    """W (..., n), w_i^2 = M_ii; of a state that the cost does not see, as large as what drives it makes it.
+def _units(M: np.ndarray, A: np.ndarray, e: Equation, v: Evaluated) -> tuple[np.ndarray, np.ndarray]:
+    """W (..., n), w_i^2 = M_ii, and the states (..., n) bool that the cost does not see, whose M_ii is rounding.
 
-    M_ii of such a state is rounding. Driven by x_j, of amplitude 1 / w_j, at the rate A_ij, it becomes |A_ij / rate| as
-    large; one that nothing drives has no unit of its own and takes the largest.
+    Such a state gets the size that others drive it to: x_j, of amplitude 1 / w_j, at the rate A_ij leads to
+    |A_ij / rate| / w_j. One that nothing drives has no unit of its own and takes the largest. Their own weight is not
+    to be told from none, so that nothing is sure.
     """
     w = np.sqrt(np.diagonal(M, axis1=-2, axis2=-1)) + TINY
     most = w.max(-1, keepdims=True)
     dark = w < UNSEEN * most
     if not dark.any():
-        return w
+        return w, dark
     rate = 1.0 if e.discrete else np.abs(np.trace(v.closed, axis1=-2, axis2=-1)[..., None]) / w.shape[-1]
     commanded = (np.abs(e.B) / np.linalg.norm(v.root, axis=-1)[..., None, :]).max(-1) / rate
     amplitude = np.where(dark, 0.0, 1 / w)
@@ -163,7 +165,8 @@ def _units(M: np.ndarray, A: np.ndarray, e: Equation, v: Evaluated) -> np.ndarra
         if not reached.any():
             break
         amplitude = np.where(reached, driven, amplitude)
-    return np.where(dark & (w * amplitude < UNSEEN), np.minimum(1 / amplitude, most), w)
+    dark = dark & (w * amplitude < UNSEEN)
+    return np.where(dark, np.minimum(1 / amplitude, most), w), dark
 
 
 def size(M: np.ndarray) -> Any:

@@ -24,13 +24,18 @@ def doubts(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     values, Y, X = cast("tuple[np.ndarray, ...]", sla.eig(A, left=True))
     angles = np.abs(np.einsum("ij,ij->j", Y.conj(), X))
     moved = np.einsum("ij,ik,kj->j", np.abs(Y), np.abs(A), np.abs(X))
-    return values, ROUNDED * moved / np.maximum(angles, DEFECTIVE)
+    return values, ROUNDED * np.maximum(moved / np.maximum(angles, DEFECTIVE), np.abs(values))
 
 
 def crosses(A: np.ndarray, *, discrete: bool) -> bool:
     """True when an eigenvalue may lie on either side of the stability boundary, for all that double precision knows."""
     values, doubt = doubts(A)
-    return bool(np.any(np.abs(1 - np.abs(values) if discrete else np.real(values)) <= doubt))
+    return bool(np.any(np.abs(decay(values, discrete=discrete)) <= doubt))
+
+
+def decay(values: np.ndarray, *, discrete: bool) -> np.ndarray:
+    """How far inside the stability boundary eigenvalues lie: negative outside."""
+    return 1 - np.abs(values) if discrete else -np.real(values)
 
 
 def unreachable(A: np.ndarray, B: np.ndarray, *, discrete: bool) -> tuple[complex, ...]:
@@ -41,8 +46,7 @@ def unreachable(A: np.ndarray, B: np.ndarray, *, discrete: bool) -> tuple[comple
     values, doubt = doubts(A)
 
     def persistent(value):
-        moved = doubt[np.abs(values - value).argmin()]
-        return 1 - abs(value) <= moved if discrete else -value.real <= moved
+        return decay(value, discrete=discrete) <= doubt[np.abs(values - value).argmin()]
 
     # rows of U' span the left invariant subspace: U' A = Au U'
     schur = sla.schur(A.T, output="complex", sort=persistent)
@@ -71,7 +75,8 @@ def unseen(A: np.ndarray, Q: np.ndarray, *, discrete: bool) -> tuple[complex, ..
     values, doubt = doubts(A)
 
     def on_boundary(mode: complex) -> bool:
-        off = abs(1 - abs(mode)) if discrete else abs(mode.real)
-        return off <= max(doubt[np.abs(values - mode).argmin()], abs(values - mode).min())
+        return abs(decay(np.asarray(mode), discrete=discrete)) <= max(
+            doubt[np.abs(values - mode).argmin()], abs(values - mode).min()
+        )
 
     return tuple(mode for mode in unreachable(A.T, Q, discrete=discrete) if on_boundary(mode))
