@@ -36,7 +36,7 @@ from synth.systems.modes import crosses, decay, doubts, unreachable, unseen
 
 ACCURATE = 1e-12  # relative residual at which no other start is tried
 TOGETHER = 1e-13  # relative residual up to which a lane needs no solution of its own
-UNDOUBTED = 1e-3  # doubt up to which a lane needs none
+UNDOUBTED = 1e-2  # doubt up to which a lane needs none
 ACCEPTED = 1e-9  # relative residual; a solution worse than this is no solution
 SINGULAR = 1e-14  # relative singular value of a descriptor matrix
 FAR = 1e-5  # relative distance of a closed loop's poles from the boundary that rounding does not make
@@ -140,7 +140,7 @@ def solve(e: Equation) -> Solved:
             if j.residual < least:
                 best, least = found, j.residual
                 ok = j.residual <= ACCEPTED and (j.doubt < CERTAIN or _stands(e, found.v, j))
-            if ok and least <= ACCURATE:
+            if least <= ACCURATE:  # the stabilising solution is one: another start leads to it too
                 break
     if best is None:
         nothing = np.full((n, n), np.nan)
@@ -222,8 +222,8 @@ def _stands(e: Equation, v: Evaluated, j: Judged) -> bool:
     """Whether the regulator is right mode by mode although the equation as a whole is ill-conditioned.
 
     Every mode that does not decay by itself is moved, semidefinite weights see those on the boundary, and the closed
-    loop decays. Rounding makes slow poles of multiple roots on the boundary, with a doubt beyond all bounds: either the
-    plant surely has no mode there, or the poles are fast; the doubt is bounded. Indefinite weights say nothing of modes.
+    loop decays. Rounding makes slow poles of multiple roots on the boundary, with a doubt beyond all bounds: either
+    the plant surely has no mode there, or the poles are fast. Indefinite weights say nothing of modes.
     """
     A, B = (e.A, e.B) if e.E is None else (np.linalg.solve(e.E, e.A), np.linalg.solve(e.E, e.B))
     F = np.linalg.pinv(e.R, hermitian=True) @ e.N.T

@@ -30,6 +30,7 @@ from scipy.linalg import get_lapack_funcs
 ROUNDED = 1e-14  # relative error of data and terms that rounding explains
 CERTAIN = 0.03  # doubt up to which a solution is certain
 UNSEEN = 1e-6  # part of the unit of a driven state, squared a relative cost that rounding explains
+DARK = 0.5  # least doubt where the weight of a state is not to be told from none
 SQUARINGS = 60  # 2^60 samples
 VANISHED = 1e-9  # size of a squared closed loop that counts as zero; the next square is lost in rounding
 DIVERGED = 1e100
@@ -141,7 +142,7 @@ def _judged(e: Equation, v: Evaluated, inverse: Inverse, inverse_E: np.ndarray |
     rest = size(Bn / w[..., None, :]) ** 2
     condition = size(P) / np.maximum(size(v.X), TINY)
     doubt = np.maximum(residual, ROUNDED) * np.maximum(moved, rest)
-    return Judged(residual, condition, np.where(dark.any(-1), np.inf, doubt))
+    return Judged(residual, condition, np.where(dark.any(-1), np.maximum(doubt, DARK), doubt))
 
 
 def _units(M: np.ndarray, A: np.ndarray, e: Equation, v: Evaluated) -> tuple[np.ndarray, np.ndarray]:
