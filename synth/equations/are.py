@@ -280,22 +280,23 @@ def _together(e: Equation) -> tuple[np.ndarray, np.ndarray]:
         for _ in range(STEPS_TOGETHER):
             part = lanes if len(lanes) < len(X) else slice(None)
             own = None if inverse_E is None else inverse_E[part]
-            X[part], certain[part] = _step(e.each(lambda M, part=part: M[part]), X[part], own)
-            lanes = np.flatnonzero(~certain & np.isfinite(X).all((-2, -1)))
+            X[part], certain[part], settled = _step(e.each(lambda M, part=part: M[part]), X[part], own)
+            lanes = lanes[~settled & np.isfinite(X[lanes]).all((-2, -1))]
             if not len(lanes):
                 break
     return X, certain
 
 
-def _step(e: Equation, X: np.ndarray, inverse_E: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Newton's step from X (b, n, n), and where what it leads to is certain."""
+def _step(e: Equation, X: np.ndarray, inverse_E: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Newton's step from X (b, n, n), where what it leads to is certain, and where no other step is needed."""
     v = evaluate(e, X, inverse_E)
     stable, inverse = by_squaring(v.closed, e.discrete)
     D = inverse(v.off)
     X = X + (D if inverse_E is None else inverse_E.mT @ D @ inverse_E)
     v = evaluate(e, (X + X.mT) / 2, inverse_E)
     j = judged(e, v, inverse, inverse_E)  # whose closed loop is the last one's but for the square of D
-    return v.X, stable & (j.residual <= TOGETHER) & (j.doubt < UNDOUBTED)
+    settled = j.residual <= TOGETHER
+    return v.X, stable & settled & (j.doubt < UNDOUBTED), settled
 
 
 def _checked(A, B, Q, R, N, E, *, discrete: bool) -> Equation:
