@@ -11,7 +11,7 @@ Data: SLICOT's benchmark_data (BSD-3-Clause), see data/README.md.
 from functools import partial
 
 import numpy as np
-from riccati_examples import Example, Examples, family, reflected, stored
+from riccati_examples import Example, Examples, family, quadratic, reflected, stored
 
 DOUBLE = np.array([[0.0, 1.0], [0.0, 0.0]])
 LAST = np.array([[0.0], [1.0]])
@@ -51,7 +51,7 @@ def ammonia() -> Example:
 def jet_engine() -> Example:
     """6: J-100 jet engine. Davison and Gesing (1978)."""
     d = stored("CAREX 1.6")
-    return Example(d["A"], d["B"], d["C"].T @ d["C"], np.eye(3))
+    return Example(d["A"], d["B"], quadratic(d["C"]), np.eye(3))
 
 
 def hardly_stabilisable(e: float) -> Example:
@@ -65,7 +65,7 @@ def hardly_stabilisable(e: float) -> Example:
 def nearly_free_command(e: float) -> Example:
     """8: R is nearly singular. Arnold and Laub (1984), example 3."""
     B, C = np.array([[0.1, 0.0], [0.001, 0.01]]), np.array([[10.0, 100.0]])
-    return Example(np.diag([-0.1, -0.02]), B, C.T @ C, np.array([[1 + e, 1], [1, 1]]), parameters={"e": e})
+    return Example(np.diag([-0.1, -0.02]), B, quadratic(C), np.array([[1 + e, 1], [1, 1]]), parameters={"e": e})
 
 
 def scaled_integrators(e: float) -> Example:
@@ -120,9 +120,9 @@ def flutter(*, estimator: bool) -> Example:
     d = stored("CAREX 2.9")
     if estimator:
         D, V = d["disturbances"], np.diag([28224.0, 2.742e-5, 6.854e-4])
-        return Example(d["A"].T, d["sensors"], D.T @ V @ D, np.diag([6.85e-6, 373.0]))
+        return Example(d["A"].T, d["sensors"], quadratic(D, V), np.diag([6.85e-6, 373.0]))
     W = np.diag([0, 0.376e-13, 0.12e-12, 0, 0, 0.245e-11, 0, 0, 0, 0])
-    return Example(d["A"], d["B"], d["C"].T @ W @ d["C"], np.diag([364.7, 14.59]))
+    return Example(d["A"], d["B"], quadratic(d["C"], W), np.diag([364.7, 14.59]))
 
 
 def vehicles(count: int) -> Example:
@@ -169,9 +169,9 @@ def heat(n: int, *, descriptor: bool = False, a=0.01, b=1.0, c=1.0, beta=(0.2, 0
     B, C = b * part(beta)[:, None], c * part(gamma)[None]
     parameters = {"n": n, "a": a, "b": b, "c": c}
     if descriptor:
-        return Example(stiffness, B, C.T @ C, np.eye(1), E=mass, parameters=parameters)
+        return Example(stiffness, B, quadratic(C), np.eye(1), E=mass, parameters=parameters)
     A, B = np.linalg.solve(mass, stiffness), np.linalg.solve(mass, B)
-    return Example(A, B, C.T @ C, np.eye(1), parameters=parameters)
+    return Example(A, B, quadratic(C), np.eye(1), parameters=parameters)
 
 
 def springs(count: int, *, descriptor: bool = False, mass=4.0, damper=4.0, spring=1.0) -> Example:
@@ -208,7 +208,7 @@ def axle() -> Example:
     C[0, 0] = 1
     C[1:, 1:n], C[1:, n:] = np.diag(damping), np.diag(stiffness)
     C[1:] /= np.hypot(damping, stiffness)[:, None]
-    return Example(A, np.vstack([B, np.zeros((n - 1, n))]), C.T @ C, np.eye(n))
+    return Example(A, np.vstack([B, np.zeros((n - 1, n))]), quadratic(C), np.eye(n))
 
 
 EXAMPLES: Examples = {

@@ -6,7 +6,7 @@ Riccati equations II: discrete-time case, SPC 95_23, TU Chemnitz; Abels and Benn
 """
 
 import numpy as np
-from riccati_examples import Example, Examples, family, reflected, stored, symmetric
+from riccati_examples import Example, Examples, family, quadratic, reflected, stored, symmetric
 
 
 def free_command() -> Example:
@@ -19,7 +19,7 @@ def cross_weight() -> Example:
     """Singular R, indefinite [[Q, N], [N', R]]. Ionescu and Weiss (1992)."""
     A, B = np.array([[0.0, 1.0], [0.0, -1.0]]), np.array([[1.0, 0.0], [2.0, 1.0]])
     Q, R = np.array([[-4.0, -4.0], [-4.0, 7.0]]) / 11, np.array([[9.0, 3.0], [3.0, 1.0]])
-    return Example(A, B, Q, R, N=np.array([[3.0, 1.0], [-1.0, 7.0]]))
+    return Example(A, B, Q, R, N=np.array([[3.0, 1.0], [-1.0, 7.0]]), bounded=False)
 
 
 def jonckheere() -> Example:
@@ -29,10 +29,11 @@ def jonckheere() -> Example:
     return Example(A, B, Q, np.eye(1), X=X)
 
 
-def indefinite() -> Example:
-    """Singular R, indefinite Q. Sun (1998)."""
-    A, B = np.diag([0.1, 0.01], 1), np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
-    return Example(A, B, np.diag([1e5, 1e3, -10.0]), np.diag([0.0, 1.0]), X=np.diag([1e5, 1e3, 0.0]))
+def indefinite(a: float) -> Example:
+    """Singular R, indefinite Q. Sun (1998). BB02AD has a = 0.01 but the solution of a = 0.1, whose last entry is 0."""
+    A, B = np.diag([0.1, a], 1), np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
+    X = np.diag([1e5, 1e3, 1e3 * a**2 - 10])
+    return Example(A, B, np.diag([1e5, 1e3, -10.0]), np.diag([0.0, 1.0]), X=X, parameters={"a": a}, bounded=a > 0.09)
 
 
 def satellite() -> Example:
@@ -53,7 +54,7 @@ def lu_lin() -> Example:
     d = stored("DAREX 1.7")
     C = np.array([[1.0, 1, 2, 4], [0, 1, 1, 2], [0, 0, 1, 1], [0, 0, 0, 1]])
     W = symmetric(4, q11=2, q21=-1, q22=2, q32=-1, q33=2)
-    return Example(d["A"], d["B"], C.T @ W @ C, np.eye(4))
+    return Example(d["A"], d["B"], quadratic(C, W), np.eye(4))
 
 
 def chemical_plant() -> Example:
@@ -69,7 +70,7 @@ def davison_wang() -> Example:
     C, B, N = np.zeros((2, 6)), np.zeros((6, 2)), np.zeros((6, 2))
     C[0, :2], C[1, 3:5], B[2, 0], B[5, 1] = 1, [1, -1], 1, 1
     N[:, 0] = C[0] + C[1]
-    return Example(A, B, C.T @ C, np.diag([3.0, 1.0]), N=N)
+    return Example(A, B, quadratic(C), np.diag([3.0, 1.0]), N=N)
 
 
 def ammonia() -> Example:
@@ -90,7 +91,7 @@ def paper_machine_errors() -> Example:
     C[0, 5], C[1, 6:9], C[2, 9], C[3, 10] = 15, [7, -5.357, -3.943], 1, 1
     A = d["A"]
     A[9, 9] = A[10, 10] = 1
-    return Example(A, d["B"], C.T @ W @ C, R)
+    return Example(A, d["B"], quadratic(C, W), R)
 
 
 def paper_machine_disturbed() -> Example:
@@ -103,7 +104,7 @@ def paper_machine_disturbed() -> Example:
     C[0, 0], C[1, 0], C[1, 6:9] = 3.318, 1.5484, [-0.3981, -0.5113, -5.7865]
     C[2, 11] = C[3, 12] = B[5, 0] = B[7, 1] = 1
     A[11:, :11] = -C[:2, :11]
-    return Example(A, B, C.T @ W @ C, R)
+    return Example(A, B, quadratic(C, W), R)
 
 
 def power_plant() -> Example:
@@ -158,7 +159,7 @@ EXAMPLES: Examples = {
     "1.1": free_command,
     "1.2": cross_weight,
     "1.3": jonckheere,
-    "1.4": indefinite,
+    **family("1.4", indefinite, "a", (0.01, 0.1)),
     "1.5": satellite,
     "1.6": slow_and_fast,
     "1.7": lu_lin,

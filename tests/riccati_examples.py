@@ -27,6 +27,7 @@ class Example(NamedTuple):
     X: np.ndarray | None = None  # (n, n) the stabilising solution in closed form
     parameters: dict[str, float] = {}  # noqa: RUF012, never changed
     solvable: bool = True  # it has a stabilising solution
+    bounded: bool = True  # the cost has a minimum: discrete, R + B'X B is positive definite
 
 
 Examples = dict[str, Callable[[], Example]]
@@ -44,6 +45,12 @@ def symmetric(n: int, **entries: float) -> np.ndarray:
         i, j = int(name[1]) - 1, int(name[2]) - 1
         M[i, j] = M[j, i] = value
     return M
+
+
+def quadratic(C: np.ndarray, W: np.ndarray | None = None) -> np.ndarray:
+    """C'W C, symmetric to the last bit; W = I when left out."""
+    M = C.T @ (C if W is None else W @ C)
+    return (M + M.T) / 2
 
 
 def reflected(diagonal) -> np.ndarray:
