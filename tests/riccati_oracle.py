@@ -106,21 +106,29 @@ def error(X: np.ndarray, true: Truth) -> float:
 def check_solution(e: Example, X: np.ndarray, true: Truth, *, discrete: bool) -> None:
     """Residual as small as that of the rounded solution allows, error as small as rounding of the terms allows."""
     n = len(e.A)
-    assert residual(e, X, true, discrete=discrete) <= FACTOR * (n * EPS + residual(e, true.X, true, discrete=discrete))
-    assert error(X, true) <= FACTOR * n * EPS
+    at_best = residual(e, true.X, true, discrete=discrete)
+    _assert_small("residual", residual(e, X, true, discrete=discrete), n * EPS + at_best)
+    _assert_small("error of the solution", error(X, true), n * EPS)
 
 
 def check_regulator(e: Example, K, S, poles, true: Truth, *, discrete: bool) -> None:
     """`check_solution`; the gain goes with S, the loop is stable, and the poles are the loop's."""
     check_solution(e, S, true, discrete=discrete)
     np.testing.assert_array_equal(S, S.T)
-    assert gain_residual(e, S, K, true, discrete=discrete) <= FACTOR * len(e.A) * EPS
+    _assert_small("residual of the gain", gain_residual(e, S, K, true, discrete=discrete), len(e.A) * EPS)
     M = e.A - e.B @ K
     M = true.unit[:, None] * (M if e.E is None else np.linalg.solve(e.E, M)) / true.unit
     for p in (np.linalg.eigvals(M), poles):
-        assert (np.abs(p).max() < 1) if discrete else (p.real.max() < 0)
+        assert (np.abs(p).max() < 1) if discrete else (p.real.max() < 0), f"unstable poles: {p}"
     for pole in poles[:30]:
-        assert np.linalg.svd(M - pole * np.eye(len(M)), compute_uv=False)[-1] <= 1e-12 * np.linalg.norm(M)
+        off = np.linalg.svd(M - pole * np.eye(len(M)), compute_uv=False)[-1] / np.linalg.norm(M)
+        assert off <= 1e-12, f"{pole} is no pole of the loop, relative distance {off:.1e}"
+
+
+def _assert_small(what: str, found: float, unit: float) -> None:
+    assert found <= FACTOR * unit, (
+        f"{what}: {found / unit:.1e} times what rounding explains, at most {FACTOR} are allowed"
+    )
 
 
 def in_other_units(e: Example, seed: int, *, discrete: bool) -> Example:
