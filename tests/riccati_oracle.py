@@ -25,6 +25,7 @@ from riccati_examples import Example
 
 BITS = (256, 1024)
 MAX_STEPS = 120
+STARTS = (0, 1, 0.3)  # multiples of I: from 0 it breaks down where R is singular
 EXACT = 1e-30  # the residual of a solution that may judge others
 LARGE = 110
 FACTOR = 10  # a step of Newton's method in double and in the units below comes to .2
@@ -60,9 +61,9 @@ def truth(e: Example, *, discrete: bool) -> Truth:
                 else:
                     X = _symmetric(_solve(*(reduced if discrete else _cayley(*reduced, _rate(e)))))
                 K = _gain(A, B, R, N, E, X, discrete)
-                P, T = _residual(A, B, Q, R, N, E, X, K, discrete)
-                unit = _units(np.diag(_floats(T)), e, discrete)
-                if np.max(np.abs(_floats(P)) / np.outer(unit, unit)) > EXACT:
+                unit = _units(_terms(e, _floats(X), _floats(K), discrete), e, discrete)
+                P = _floats(_residual(A, B, Q, R, N, E, X, K, discrete))
+                if np.max(np.abs(P) / np.outer(unit, unit)) > EXACT:
                     continue
                 loop = (A - B * K) * back
                 if len(e.A) > LARGE:
@@ -83,7 +84,7 @@ def residual(e: Example, X: np.ndarray, true: Truth, *, discrete: bool) -> float
     with ctx.workprec(BITS[0]):
         A, B, Q, R, N, E = _balls(e)
         x = _ball(X)
-        P, _ = _residual(A, B, Q, R, N, E, x, _gain(A, B, R, N, E, x, discrete), discrete)
+        P = _residual(A, B, Q, R, N, E, x, _gain(A, B, R, N, E, x, discrete), discrete)
         return float(np.max(np.abs(_floats(P)) / np.outer(true.unit, true.unit)))
 
 
@@ -94,7 +95,7 @@ def gain_residual(e: Example, X: np.ndarray, K: np.ndarray, true: Truth, *, disc
         x, Bt, right = _ball(X), B.transpose(), A if discrete else E
         RX = R + Bt * x * B if discrete else R
         off = np.abs(_floats(RX * _ball(K) - Bt * x * right - N.transpose()))
-        size = _floats(_abs(Bt) * _abs(_ball(true.X)) * _abs(right) + _abs(N.transpose()))
+        size = np.abs(e.B.T) @ np.abs(true.X) @ np.abs(_floats(right)) + np.abs(_floats(N.transpose()))
         return float(np.max(off / (np.outer(np.sqrt(np.abs(np.diag(_floats(RX)))), true.unit) + size)))
 
 
@@ -182,9 +183,8 @@ def _newton(e: Example):
     X = _ball(sla.solve_continuous_are(e.A, e.B, e.Q, e.R, s=e.N))
     for _ in range(8):
         K = _gain(A, B, R, N, E, X, discrete=False)
-        P, T = _residual(A, B, Q, R, N, E, X, K, discrete=False)
-        unit = np.sqrt(np.diag(_floats(T)))
-        P = _floats(P) / np.outer(unit, unit)
+        unit = np.sqrt(_terms(e, _floats(X), _floats(K), discrete=False))
+        P = _floats(_residual(A, B, Q, R, N, E, X, K, discrete=False)) / np.outer(unit, unit)
         if np.abs(P).max() < EXACT:
             break
         loop = unit[:, None] * _floats(A - B * K) / unit
@@ -193,13 +193,19 @@ def _newton(e: Example):
 
 
 def _solve(A, B, Q, R, N):
-    """Stabilising solution of the discrete equation, by doubling from X0 = 0, or I where R cannot be inverted."""
-    n, I = A.nrows(), _eye(A.nrows())
-    shift = 0 * I
-    if abs(R.det()) < arb(2) ** (-ctx.prec // 4):
-        shift, At, Bt = I, A.transpose(), B.transpose()
-        Q, N, R = Q + At * A - I, N + At * B, R + Bt * B
-    inverse = R.inv()
+    """Stabilising solution of the discrete equation, by doubling from the first start that does not break down."""
+    for start in STARTS:
+        X0 = start * _eye(A.nrows())
+        At, Bt = A.transpose(), B.transpose()
+        try:
+            return X0 + _double(A, B, Q + At * X0 * A - X0, R + Bt * X0 * B, N + At * X0 * B)
+        except ZeroDivisionError:
+            continue
+    raise ZeroDivisionError(f"no convergence, n = {A.nrows()}")
+
+
+def _double(A, B, Q, R, N):
+    I, inverse = _eye(A.nrows()), R.inv()
     G, H = _symmetric(B * inverse * B.transpose()), _symmetric(Q - N * inverse * N.transpose())
     A = (A - B * inverse * N.transpose()).mid()
     for _ in range(MAX_STEPS):
@@ -208,8 +214,8 @@ def _solve(A, B, Q, R, N):
         H, G = _symmetric(H + A.transpose() * H * V1), _symmetric(G + A * V2 * A.transpose())
         A = (A * V1).mid()
         if max(abs(float(x)) for x in A.entries()) < 1e-80:
-            return shift + H
-    raise ZeroDivisionError(f"no convergence, n = {n}")
+            return H
+    raise ZeroDivisionError
 
 
 def _cayley(A, B, Q, R, N, rate):
@@ -260,21 +266,22 @@ def _gain(A, B, R, N, E, X, discrete: bool):
 
 
 def _residual(A, B, Q, R, N, E, X, K, discrete: bool):
-    """The residual and T of the header."""
-    At, Bt, Et, Kt, Nt = (M.transpose() for M in (A, B, E, K, N))
-    a, b, e, x, k, n = (_abs(M) for M in (A, B, E, X, K, N))
+    At, Bt, Et = A.transpose(), B.transpose(), E.transpose()
+    XA = X * A
     if discrete:
-        F = Bt * X * A + Nt
-        P = At * X * A - Et * X * E + Q - Kt * F
-        r, f = _abs(R) + b.transpose() * x * b, b.transpose() * x * a + n.transpose()
-        T = a.transpose() * x * a + e.transpose() * x * e
-    else:
-        F = Bt * X * E + Nt
-        P = At * X * E + Et * X * A + Q - Kt * F
-        r, f = _abs(R), b.transpose() * x * e + n.transpose()
-        T = a.transpose() * x * e + e.transpose() * x * a
-    kt = k.transpose()
-    return P, T + _abs(Q) + kt * f + (kt * f).transpose() + kt * r * k
+        return At * XA - Et * X * E + Q - K.transpose() * (Bt * XA + N.transpose())
+    AXE = At * (X * E)
+    return AXE + AXE.transpose() + Q - K.transpose() * (Bt * X * E + N.transpose())
+
+
+def _terms(e: Example, X: np.ndarray, K: np.ndarray, discrete: bool) -> np.ndarray:
+    """Diagonal of T of the header, (n,)."""
+    n, m = e.B.shape
+    a, b, q, r, x, k = (np.abs(M) for M in (e.A, e.B, e.Q, e.R, X, K))
+    E, N = np.eye(n) if e.E is None else np.abs(e.E), np.zeros((n, m)) if e.N is None else np.abs(e.N)
+    right, r = (a, r + b.T @ x @ b) if discrete else (E, r)
+    quadratic = a.T @ x @ a + E.T @ x @ E if discrete else 2 * a.T @ x @ E
+    return np.diag(quadratic + q + 2 * k.T @ (b.T @ x @ right + N.T) + k.T @ r @ k)
 
 
 def _balls(e: Example):
@@ -289,10 +296,6 @@ def _ball(M: np.ndarray):
 
 def _floats(M) -> np.ndarray:
     return np.array([float(x) for x in M.entries()]).reshape(M.nrows(), M.ncols())
-
-
-def _abs(M):
-    return arb_mat(M.nrows(), M.ncols(), [abs(x) for x in M.entries()])
 
 
 def _symmetric(M):
