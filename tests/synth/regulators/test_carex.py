@@ -18,9 +18,8 @@ from riccati_oracle import (
     truth,
 )
 
-from synth.equations.riccati import care
+from synth import care, lqr
 from synth.errors import AssumptionError, NumericalError
-from synth.regulators.regulator import lqr
 
 LONG = ("2.9 regulator", "2.9 filter", "3.2, n = 64", "4.2, n = 100", "4.3, masses = 30", "4.4")
 UNSOLVABLE = "2.5, e = 0"

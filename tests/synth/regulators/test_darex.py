@@ -18,9 +18,8 @@ from riccati_oracle import (
     truth,
 )
 
-from synth.equations.riccati import dare
+from synth import dare, dlqr
 from synth.errors import AssumptionError, ModelError, NumericalError
-from synth.regulators.regulator import dlqr
 
 LONG = ("4.1, n = 100",)
 ALL = [pytest.param(name, marks=pytest.mark.slow) if name in LONG else name for name in EXAMPLES]

@@ -13,7 +13,7 @@ import pytest
 from riccati_examples import Example, quadratic
 from riccati_oracle import check_regulator, options, truth
 
-from synth.regulators.regulator import dlqr, lqr
+from synth import dlqr, lqr
 
 ENOUGH = 1e-11
 REAL = re.compile(r"[-+]?[0-9.]+(e[-+]?[0-9]+)?")
