@@ -44,7 +44,7 @@ class Truth(NamedTuple):
     def condition(self) -> float:
         """Error of X, relative, per relative rounding of the terms."""
         x = np.abs(np.diag(self.X))
-        seen = x > 1e-20 * self.Z
+        seen = x > 1e-14 * self.Z
         return float(np.max(self.Z[seen] / x[seen]))
 
 
@@ -124,6 +124,12 @@ def check_regulator(e: Example, K, S, poles, true: Truth, *, discrete: bool) -> 
     for pole in poles[:30]:
         off = np.linalg.svd(M - pole * np.eye(len(M)), compute_uv=False)[-1] / np.linalg.norm(M)
         assert off <= 1e-12, f"{pole} is no pole of the loop, relative distance {off:.1e}"
+
+
+def check_claims(result, true: Truth) -> None:
+    """`residual` is one of rounding; `condition` has the order of the one here, whatever the norm it is measured in."""
+    assert 0 <= result.residual <= FACTOR * len(true.X) * EPS
+    assert 1 / 30 <= result.condition / true.condition <= 30, f"{result.condition:.1e}, here {true.condition:.1e}"
 
 
 def _assert_small(what: str, found: float, unit: float) -> None:

@@ -9,6 +9,7 @@ from riccati_oracle import (
     EPS,
     FACTOR,
     Truth,
+    check_claims,
     check_regulator,
     check_solution,
     error,
@@ -59,6 +60,12 @@ def test_care(name):
     X, ok = care(e.A, e.B, e.Q, e.R, **options(e))
     assert ok
     check_solution(e, np.asarray(X), known(name), discrete=False)
+
+
+@pytest.mark.parametrize("name", [name for name in SOLVABLE if name not in LONG])
+def test_lqr_says_how_good_it_is(name):
+    e = EXAMPLES[name]()
+    check_claims(lqr(e.A, e.B, e.Q, e.R, **options(e)), known(name))
 
 
 def test_modes_that_must_stay_on_the_axis_are_named():

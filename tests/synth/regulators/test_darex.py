@@ -9,6 +9,7 @@ from riccati_oracle import (
     EPS,
     FACTOR,
     Truth,
+    check_claims,
     check_regulator,
     check_solution,
     error,
@@ -73,6 +74,12 @@ def test_dare(name):
     X, ok = dare(e.A, e.B, e.Q, e.R, **options(e))
     assert ok
     check_solution(e, np.asarray(X), known(name), discrete=True)
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_dlqr_says_how_good_it_is(name):
+    if found := regulator(EXAMPLES[name]()):
+        check_claims(found, known(name))
 
 
 @pytest.mark.parametrize("change", ["units", "coordinates"])
