@@ -8,7 +8,8 @@ foresee; with d held, x_{k+1} - x_k = A (x_k - x_{k-1}) + B du_k, the incrementa
 
 The problem is posed once in CVXPY (`pose`), where it reads as above. Its canonical quadratic program, whose vectors
 are affine in the measured data, is taken out once (`synth.predictive.parametricqp`) and then stepped by DAQP; CVXPY
-with Clarabel stays as the reference.
+with Clarabel stays as the reference. Where the plant's own growth over the horizon would drown that program in rounding
+it is stepped in other variables (`synth.predictive.prestabilised`). Every command is checked before it leaves.
 
 Signs and units: u is what acts on the plant, on a spacecraft the torque on the body. The actuators store the
 reaction, h_{k+1} = h_k - dt u_k, on a spacecraft the momentum of the wheels about the body axes in N m s.
@@ -19,7 +20,6 @@ Source of the study's values Q = R = 1000 I, Np = 10, Nc = 7: Pecorilla and Stes
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -27,44 +27,15 @@ import numpy as np
 
 from synth.checks import as_choice, as_cost, as_limits, as_number, as_whole, check_period
 from synth.errors import ModelError, NumericalError
+from synth.predictive.mpcproblem import MpcProblem
 from synth.predictive.parametricqp import CLARABEL_SETTINGS, ParametricQp, canonicalise
-from synth.systems.statespace import StateSpace, as_system
+from synth.predictive.prestabilised import LongArithmetic, prestabilise
+from synth.systems.statespace import as_system
 
 if TYPE_CHECKING:
     import cvxpy as cp
 
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class MpcProblem:
-    """The checked data of a controller; `mpc` makes it."""
-
-    model: StateSpace  # n states = outputs, m inputs
-    Q: np.ndarray  # (n, n) weight of r - x
-    R: np.ndarray  # (m, m) weight of u or du
-    terminal: np.ndarray  # (n, n) weight of r - x at the end of the horizon
-    Np: int  # prediction horizon, samples
-    Nc: int  # control horizon, samples
-    umin: np.ndarray  # (m,) hard limit of u
-    umax: np.ndarray  # (m,) hard limit of u
-    form: str  # "velocity" or "position"
-    ymin: np.ndarray  # (n,) soft limit of x, -inf where free
-    ymax: np.ndarray  # (n,) soft limit of x, inf where free
-    hmax: np.ndarray  # (m,) soft limit of |h|, units of u times s, inf where free
-    delay: int  # samples between a command and its action
-    penalty: float  # weight of a soft limit's relative excess, in units of the cost of full command over the horizon
-
-    @cached_property
-    def unit(self) -> np.ndarray:
-        """Largest magnitude of each input: the unit of the decision variables, (m,)."""
-        return np.maximum(np.abs(self.umin), np.abs(self.umax))
-
-    @cached_property
-    def parameters(self) -> dict[str, slice]:
-        """Where measured state, disturbance, reference, momentum and past commands stand in the parameter vector."""
-        n, m = self.model.n, self.model.nu
-        ends = np.cumsum([n, n, n, m, max(self.delay, 1) * m]).tolist()
-        names = ("x", "d", "r", "h", "inputs")
-        return {name: slice(a, b) for name, a, b in zip(names, [0, *ends[:-1]], ends, strict=True)}
+CONDITIONED = 1e6  # condition number up to which the program is stepped in the commands themselves
 
 
 class MpcState(NamedTuple):
@@ -74,7 +45,7 @@ class MpcState(NamedTuple):
     inputs: np.ndarray  # (max(delay, 1), m) last commands, oldest first
     momentum: np.ndarray  # (m,) momentum stored in the actuators, units of u times s
     active: np.ndarray  # (N + M,) DAQP's working set, where the next solve starts
-    fallbacks: int  # how often DAQP gave up and Clarabel answered
+    fallbacks: int  # how often DAQP gave up or failed the check and another route answered
 
 
 @dataclass(frozen=True)
@@ -133,7 +104,7 @@ def pose(p: MpcProblem) -> PosedProblem:
     channels += [soft_limit([hk[i] for hk in stored.values()], -p.hmax[i], p.hmax[i]) for i in range(m)]
     channels = [excess for excess in channels if excess]
     slacks = cp.Variable(len(channels), name="slacks") if channels else None
-    objective = sum(cost) / cost_unit(p) / 2
+    objective = sum(cost) / p.cost_unit / 2
     if slacks is not None:
         objective += p.penalty * (cp.sum(slacks) + cp.sum_squares(slacks) / 2)
         constraints += [slacks >= 0]
@@ -154,16 +125,6 @@ def square_root(W: np.ndarray) -> np.ndarray:
     return np.sqrt(np.maximum(eigenvalues, 0))[:, None] * V.T
 
 
-def cost_unit(p: MpcProblem) -> float:
-    """What full command held over the prediction horizon costs: the unit of the objective."""
-    G = np.zeros((p.model.n, p.model.nu))
-    H = p.unit[:, None] * p.R * p.unit
-    for k in range(p.Np):
-        G = p.model.A @ G + p.model.B * p.unit
-        H = H + G.T @ (p.Q if k < p.Np - 1 else p.terminal) @ G
-    return float(np.linalg.eigvalsh(H)[-1])
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Mpc:
     """A model predictive controller; `mpc` makes it.
@@ -172,7 +133,7 @@ class Mpc:
     """
 
     problem: MpcProblem
-    qp: ParametricQp  # variables: commands over Nc in units of MpcProblem.unit, then relative slacks
+    qp: ParametricQp  # variables: the command in units of MpcProblem.unit, later ones, then relative slacks
 
     @property
     def dt(self) -> float:
@@ -229,7 +190,13 @@ class Mpc:
         Raises
         ------
         ModelError : `y` or `r` has the wrong size or is not finite.
-        NumericalError : DAQP and Clarabel both fail. There is no NaN and no stale command.
+        NumericalError : no route leads to a command that passes the check. There is no NaN and no stale command.
+
+        Notes
+        -----
+        What leaves is within 1e-8 of the optimum, in units of the larger limit: the residuals of the optimality
+        conditions prove it of DAQP's and Clarabel's answers (`Optimality`); the last resort, long arithmetic, takes
+        seconds. `fallbacks` counts the steps that DAQP did not answer, or not well enough.
         """
         p, model = self.problem, self.problem.model
         phi = self.parameters(state, y, r)
@@ -286,13 +253,13 @@ def mpc(
     hmax : scalar or (m,) soft limit of |h|, the momentum stored in the actuators; h+ = h - dt u
     delay : samples between a command and its action; the prediction starts when the command acts
     penalty : weight of an excess s of a soft limit, penalty (s + s^2/2), where s is relative to the limit and the
-        objective is in units of what full command held over Np costs. A soft limit is kept exactly, where it can be
-        kept, as long as its multiplier stays below the penalty.
+        objective is in units of what full command held over Np costs (errors over the horizon, and R once). A soft limit
+        is kept exactly, where it can be kept, as long as its multiplier stays below the penalty.
 
     Raises
     ------
     ModelError : an argument is not valid; the message names it, its value and the remedy.
-    NumericalError : R is too small to make the program solvable in double precision.
+    NumericalError : the plant grows beyond 1e308 over the horizon.
     """
     model = as_system("model", model)
     n, m = model.n, model.nu
@@ -333,5 +300,7 @@ def mpc(
             raise ModelError(f"{low}[{i}] = {below[i]} is not below {high}[{i}] = {above[i]}; exchange or widen them")
     if not (problem.hmax > 0).all():
         raise ModelError(f"hmax is {problem.hmax}; pass positive limits")
-    posed = pose(problem)
-    return Mpc(problem=problem, qp=canonicalise(posed.problem, posed.phi, posed.variables))
+    if problem.condition > CONDITIONED:
+        return Mpc(problem=problem, qp=prestabilise(problem))
+    posed, exact = pose(problem), LongArithmetic(problem, commands=True)
+    return Mpc(problem=problem, qp=canonicalise(posed.problem, posed.phi, posed.variables, exact))

@@ -3,13 +3,16 @@
     minimise  v'Pv/2 + f'v   subject to  lower <= [v; A v] <= upper,      [f; upper] = offset + slope phi
 
 `canonicalise` reads the matrices off the program CVXPY hands to its solver. `ParametricQp.solve` answers with the dual
-active-set method DAQP (Arnstrom, Bemporad and Axehill 2022, doi 10.1109/TAC.2022.3176430); if that gives up, with
-Clarabel's interior-point method.
+active-set method DAQP (Arnstrom, Bemporad and Axehill 2022, doi 10.1109/TAC.2022.3176430). Every answer is checked by
+its residuals (`synth.predictive.optimality`). If DAQP gives up or fails the check, Clarabel's interior-point method
+names the active rows, on which the program is solved again and checked likewise; if that fails too, whoever posed the
+program may know how to solve it in longer arithmetic.
 """
 
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -17,13 +20,16 @@ import daqp
 import numpy as np
 
 from synth.errors import NumericalError
+from synth.predictive.optimality import Optimality
 
 if TYPE_CHECKING:
     import cvxpy as cp
 
 # The program is to be scaled to unit variables. No regularisation: the Hessian is to be positive definite.
 DAQP_SETTINGS = {"primal_tol": 1e-10, "eps_prox": 0.0}
+Exactly = Callable[[np.ndarray], np.ndarray]  # the optimum v at phi in long arithmetic; raises NumericalError
 DAQP_ACTIVE = np.array([0, 1, 3], dtype=np.intc)  # its flag for a row with multiplier 0, > 0 (upper), < 0 (lower)
+ACCURACY = 1e-8  # bound of the error with which an optimum is accepted, in units of each variable
 # As tight as double precision carries: the optimum of a flat objective is far less exact than its value.
 CLARABEL_SETTINGS = {
     "tol_gap_abs": 1e-16,
@@ -40,9 +46,9 @@ class Solution(NamedTuple):
     """An optimum of a `ParametricQp`."""
 
     v: np.ndarray  # (N,) variables
-    multipliers: np.ndarray  # (N + M,) positive at an upper limit, negative at a lower one
+    multipliers: np.ndarray  # (N + M,) positive at an upper limit, negative at a lower one; (0,) of an exact solution
     active: np.ndarray  # (N + M,) where the next solve starts: 1 at an upper limit, 3 at a lower one, as DAQP has it
-    solver: str  # "daqp" or "clarabel"
+    solver: str  # whose it is: "daqp", "clarabel" or "exact"
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,27 +68,32 @@ class ParametricQp:
     lower: np.ndarray  # (N + M,)
     offset: np.ndarray  # (2 N + M,)
     slope: np.ndarray  # (2 N + M, parameters)
+    exact: Exactly | None = None  # the last resort, to be picklable
     scratch: threading.local = field(init=False, repr=False, default_factory=threading.local)
 
     def __post_init__(self):
-        self.scratch.daqp = self.workspace()
+        self.scratch.daqp, self.scratch.optimality = self.workspace()
 
-    def workspace(self) -> daqp.Model:
-        """DAQP's memory for this program."""
+    def workspace(self) -> tuple[daqp.Model, Optimality]:
+        """DAQP's memory for this program, and the check's."""
         N = self.P.shape[0]
         model = daqp.Model()
         flag, _ = model.setup(self.P, self.offset[:N], self.A, self.offset[N:], self.lower, self.cold_start())
-        if flag < 0:
+        try:
+            optimality = Optimality(self.P, self.A, self.lower) if flag >= 0 else None
+        except np.linalg.LinAlgError:
+            optimality = None
+        if optimality is None:
             raise NumericalError(
-                f"DAQP rejects the program: the condition number of its Hessian is {np.linalg.cond(self.P):.1e};"
+                f"the program is refused: the condition number of its Hessian is {np.linalg.cond(self.P):.1e};"
                 " weigh each variable enough to tell them apart",
                 {"daqp": str(flag)},
             )
         model.settings = DAQP_SETTINGS
-        return model
+        return model, optimality
 
     def __reduce__(self):
-        return ParametricQp, (self.P, self.A, self.lower, self.offset, self.slope)
+        return type(self), (self.P, self.A, self.lower, self.offset, self.slope, self.exact)
 
     def cold_start(self) -> np.ndarray:
         """The empty working set, (N + M,)."""
@@ -90,33 +101,62 @@ class ParametricQp:
 
     def vectors(self, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(f, upper) at the parameters `phi`."""
-        both, N = self.offset + self.slope @ phi, self.P.shape[0]
+        both, N = self.slope.dot(phi), self.P.shape[0]
+        both += self.offset
         return both[:N], both[N:]
 
     def solve(self, phi: np.ndarray, active: np.ndarray) -> Solution:
-        """The optimum for the parameters `phi`: by DAQP from the working set `active`, else by Clarabel.
+        """The optimum for the parameters `phi`, within `ACCURACY`: by DAQP from the working set `active`, else again.
 
         Raises
         ------
-        NumericalError : both fail; the statuses say how.
+        NumericalError : no route leads to an optimum that passes the check; the statuses say how.
         """
         f, upper = self.vectors(phi)
+        v, y, status = self.solve_daqp(f, upper, active)
+        if status:
+            return self.solve_again(phi, f, upper, {"daqp": status})
+        return Solution(v, y, as_active(y), "daqp")
+
+    def solve_daqp(self, f: np.ndarray, upper: np.ndarray, active: np.ndarray) -> tuple[np.ndarray, np.ndarray, str]:
+        """(v, multipliers, what is wrong with them)."""
         try:
-            model = self.scratch.daqp
+            model, optimality = self.scratch.daqp, self.scratch.optimality
         except AttributeError:  # the first solve in this thread
-            model = self.scratch.daqp = self.workspace()
+            model, optimality = self.scratch.daqp, self.scratch.optimality = self.workspace()
         flag = model.update(f=f, bupper=upper, sense=active)
-        if flag == 0:
-            v, _, flag, info = model.solve()
-            if flag == 1:
-                y = info["lam"]
-                return Solution(v, y, DAQP_ACTIVE.take(np.sign(y).astype(np.intp), mode="wrap"), "daqp")
+        if flag:
+            return f, upper, str(flag)
+        v, _, flag, info = model.solve()
+        y = info["lam"]
+        if flag != 1:
+            return v, y, str(flag)
+        error = optimality.error(v, y, f, upper, ACCURACY)
+        return v, y, "" if error <= ACCURACY else f"error up to {error:.1e}"
+
+    def solve_again(self, phi: np.ndarray, f: np.ndarray, upper: np.ndarray, statuses: dict[str, str]) -> Solution:
+        """The optimum by Clarabel or in long arithmetic, after DAQP ended with `statuses`; raises as `solve`."""
         v, y, status = self.solve_clarabel(f, upper)
-        if status not in ("Solved", "AlmostSolved"):
+        if status in ("Solved", "AlmostSolved"):
+            optimality = self.scratch.optimality
+            for w, prices in (*optimality.refined(v, y, f, upper), (v, y)):
+                error = optimality.error(w, prices, f, upper, ACCURACY)
+                if error <= ACCURACY:
+                    return Solution(w, prices, self.cold_start(), "clarabel")
+                status += f", error up to {error:.1e}"
+        return self.solve_exactly(phi, statuses | {"clarabel": status})
+
+    def solve_exactly(self, phi: np.ndarray, statuses: dict[str, str]) -> Solution:
+        """The optimum in long arithmetic, after the others ended with `statuses`; raises as `solve`."""
+        if self.exact is None:
+            raise NumericalError("neither DAQP nor Clarabel solved the program", statuses)
+        try:
+            return Solution(self.exact(phi), np.zeros(0), self.cold_start(), "exact")
+        except NumericalError as error:
+            statuses = statuses | {"exact": str(error)}
             raise NumericalError(
-                "neither DAQP nor Clarabel solved the program", {"daqp": str(flag), "clarabel": status}
-            )
-        return Solution(v, y, self.cold_start(), "clarabel")
+                "the program was solved neither in doubles nor in long arithmetic", statuses
+            ) from error
 
     def solve_clarabel(self, f: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray, str]:
         """(v, multipliers, status) by an interior-point method."""
@@ -141,7 +181,14 @@ class ParametricQp:
         return np.asarray(solution.x), y, str(solution.status)
 
 
-def canonicalise(problem: cp.Problem, phi: cp.Parameter, variables: list[cp.Variable]) -> ParametricQp:
+def as_active(multipliers: np.ndarray) -> np.ndarray:
+    """The working set of these multipliers, as DAQP has it."""
+    return DAQP_ACTIVE.take(np.sign(multipliers).astype(np.intp), mode="wrap")
+
+
+def canonicalise(
+    problem: cp.Problem, phi: cp.Parameter, variables: list[cp.Variable], exact: Exactly | None = None
+) -> ParametricQp:
     """The quadratic program in `variables`, all others eliminated by the equality constraints that define them.
 
     Read off at phi = 0 and at each unit vector, then checked at another point.
@@ -150,6 +197,7 @@ def canonicalise(problem: cp.Problem, phi: cp.Parameter, variables: list[cp.Vari
     ----------
     problem : a quadratic program whose only parameter is the vector `phi`
     variables : vectors without attributes that determine all others through equality constraints
+    exact : solves the same program in long arithmetic, if there is such a way
 
     Raises
     ------
@@ -183,10 +231,12 @@ def canonicalise(problem: cp.Problem, phi: cp.Parameter, variables: list[cp.Vari
     affine = np.abs(both - offset - slope @ probe).max() <= 1e-9 * scale
     if not (np.array_equal(P, P1) and np.array_equal(A, A1) and affine):
         raise NumericalError("CVXPY's program is not affine in its parameter: check the scale of the data")
-    return split_bounds((P + P.T) / 2, A, offset, slope)
+    return split_bounds((P + P.T) / 2, A, offset, slope, exact)
 
 
-def split_bounds(P: np.ndarray, A: np.ndarray, offset: np.ndarray, slope: np.ndarray) -> ParametricQp:
+def split_bounds(
+    P: np.ndarray, A: np.ndarray, offset: np.ndarray, slope: np.ndarray, exact: Exactly | None = None
+) -> ParametricQp:
     """Rows that bound one variable by a constant become bounds of that variable."""
     N = P.shape[0]
     simple = (np.count_nonzero(A, axis=1) == 1) & ~slope[N:].any(axis=1)
@@ -204,4 +254,5 @@ def split_bounds(P: np.ndarray, A: np.ndarray, offset: np.ndarray, slope: np.nda
         lower=np.concatenate([lower, np.full(rest.sum(), -np.inf)]),
         offset=np.concatenate([offset[:N], upper, offset[N:][rest]]),
         slope=np.vstack([slope[:N], np.zeros((N, slope.shape[1])), slope[N:][rest]]),
+        exact=exact,
     )

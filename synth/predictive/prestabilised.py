@@ -1,0 +1,131 @@
+"""The predictive controller's program for unstable plants and long horizons, and any such program in long arithmetic.
+
+`prestabilise` rounds the exact program of `synth.predictive.exactprogram` to doubles once: in its variables it is well
+conditioned. `LongArithmetic` solves it as it is, at any measurement: what doubles cannot tell, such as a plant beyond
+control, whose limits are all active, or a soft limit that cannot be kept and weighs 1e20 times the rest, it can.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field
+
+import numpy as np
+from flint import arb, arb_mat, ctx
+
+from synth.predictive.exactprogram import exact_program, rounded
+from synth.predictive.leastnorm import least_norm
+from synth.predictive.mpcproblem import MpcProblem
+from synth.predictive.parametricqp import ParametricQp, Solution, as_active
+
+STIFF = 1e6  # a penalty beyond this times the weight of a command drowns the rest of the objective in its rounding
+
+
+@dataclass(frozen=True, eq=False)
+class LongArithmetic:
+    """The optimum at any parameters, whatever doubles make of it: seconds for a hundred active limits."""
+
+    problem: MpcProblem
+    commands: bool  # the program's variables are the commands, else those of `prestabilise`
+    scratch: threading.local = field(init=False, repr=False, default_factory=threading.local)
+
+    def __reduce__(self):
+        return LongArithmetic, (self.problem, self.commands)
+
+    def __call__(self, phi: np.ndarray) -> np.ndarray:
+        """The optimal variables, then the slacks.
+
+        Raises
+        ------
+        NumericalError : as `exact_program` and `least_norm`.
+        """
+        p, m = self.problem, self.problem.model.nu
+        try:
+            e = self.scratch.exact
+        except AttributeError:
+            e = self.scratch.exact = exact_program(p, plain=False)
+        N, slacks = p.Nc * m, np.eye(e.slacks, dtype=int).tolist()
+        with ctx.workprec(e.bits):
+            M = e.predictions.tolist()
+            by_phi = arb_mat([row[N:] for row in M]) * arb_mat(len(phi), 1, phi.tolist())
+            free, root = by_phi.entries(), arb(e.penalty).sqrt()  # slack = z / root - 1 makes its weight 1 as well
+            G = [[arb(0)] * N + [-j / root for j in one] for one in slacks]
+            b = [arb(-1)] * e.slacks
+            for row, factor, bound, slack in zip(*e.limits, strict=True):
+                own = slacks[slack] if slack >= 0 else [0] * e.slacks
+                G.append([factor * t for t in M[row][:N]] + [-j / root for j in own])
+                b.append(bound - factor * free[row] - (slack >= 0))
+            z = least_norm(arb_mat(G), arb_mat(len(b), 1, b))[0].entries()
+            planned = (arb_mat([row[:N] for row in M[:N]]) * arb_mat(N, 1, z[:N])).entries()
+            commands = [(u + c) / p.unit[i % m] for i, (u, c) in enumerate(zip(planned, free, strict=False))]
+            v = commands if self.commands else commands[:m] + z[m:N]
+            return np.array([float(e) for e in v] + [float(s / root - 1) for s in z[N:]])
+
+
+class PrestabilisedQp(ParametricQp):
+    """The program of `prestabilise`.
+
+    A penalty that drowns the rest is set aside first: if the soft limits can be kept, and no channel's multipliers add
+    up to more than its penalty, that is the optimum.
+    """
+
+    kept: ParametricQp | None  # the program without slacks
+
+    def __post_init__(self):
+        super().__post_init__()
+        ends = np.flatnonzero(np.diag(self.P) > STIFF)
+        first = int(ends[0]) if ends.size else len(self.P)
+        object.__setattr__(self, "kept", self.without(first) if first < len(self.P) else None)
+
+    def without(self, first: int) -> ParametricQp:
+        """The program with the variables from `first` on at zero."""
+        N = len(self.P)
+        rows = np.r_[:first, N : self.lower.size]
+        vectors = np.r_[:first, N + rows]
+        return ParametricQp(
+            self.P[:first, :first],
+            np.ascontiguousarray(self.A[:, :first]),
+            self.lower[rows],
+            self.offset[vectors],
+            self.slope[vectors],
+        )
+
+    def solve(self, phi: np.ndarray, active: np.ndarray) -> Solution:
+        """As `ParametricQp.solve`."""
+        if self.kept is None:
+            return super().solve(phi, active)
+        f, upper = self.vectors(phi)
+        N, n = len(self.P), len(self.kept.P)
+        rows = np.r_[:n, N : upper.size]
+        v, y, status = self.kept.solve_daqp(f[:n], upper[rows], active[rows])
+        if not status:
+            price = f[n:] + self.A[:, n:].T @ y[n:]  # what is left of the penalty
+            if (price >= 0).all():
+                y = np.concatenate([y[:n], -price, y[n:]])
+                return Solution(np.concatenate([v, np.zeros(N - n)]), y, as_active(y), "daqp")
+            status = "a soft limit is worth more than its penalty"
+        return self.solve_exactly(phi, {"daqp": status})
+
+
+def prestabilise(p: MpcProblem) -> ParametricQp:
+    """The program of `pose` in the variables (v, slacks); the first m are u_0 in units of `p.unit`.
+
+    Raises
+    ------
+    NumericalError : as `exact_program`.
+    """
+    e, m, N = exact_program(p, plain=True), p.model.nu, p.Nc * p.model.nu
+    M, slacks, (row, factor, bound, slack) = rounded(e.predictions), e.slacks, (a[2 * m :] for a in e.limits)
+    P, f = np.eye(N + slacks), np.zeros(N + slacks)
+    P[:m, :m] = rounded(e.hessian)
+    P[N:, N:] *= e.penalty
+    f[N:] = e.penalty
+    rows = factor[:, None] * M[row]
+    A = np.hstack([rows[:, :N], -np.equal.outer(slack, np.arange(slacks)).astype(float)])
+    lower = np.concatenate([p.umin / p.unit, np.full(N - m, -np.inf), np.zeros(slacks), np.full(len(A), -np.inf)])
+    upper = np.concatenate([p.umax / p.unit, np.full(N - m + slacks, np.inf), bound])
+    slope = np.zeros((N + slacks + lower.size, rows.shape[1] - N))
+    slope[:m] = rounded(e.gradient)
+    slope[2 * (N + slacks) :] = -rows[:, N:]
+    long = LongArithmetic(p, commands=False)
+    return PrestabilisedQp((P + P.T) / 2, A, lower, np.concatenate([f, upper]), slope, long)
