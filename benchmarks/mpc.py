@@ -44,13 +44,13 @@ def flight(controller: Mpc, noise: float) -> list[tuple[MpcState, np.ndarray]]:
 
 
 def fastest(runs, repeat: int) -> list[float]:
-    """Seconds per period of each run's fastest repetition; the runs take turns, so a busy machine is fair to all."""
+    """CPU seconds per period of each run's fastest repetition; the runs take turns: a busy machine is fair to all."""
     seconds = np.full((repeat, len(runs)), np.inf)
     for row in seconds:
         for i, run in enumerate(runs):
-            start = time.perf_counter()
+            start = time.process_time()
             run()
-            row[i] = time.perf_counter() - start
+            row[i] = time.process_time() - start
     return (seconds.min(axis=0) / PERIODS).tolist()
 
 

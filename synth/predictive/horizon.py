@@ -170,7 +170,7 @@ class Mpc:
             raise ModelError(f"r has shape {r.shape}; pass the state to go to, ({n},)")
         d = np.zeros(n) if state.prediction is None else x - state.prediction
         phi = np.concatenate((x, d, r, h, state.inputs.ravel()))
-        if not isfinite(phi @ phi):
+        if not isfinite(phi.dot(phi)):
             raise ModelError(f"y is {y}, r is {r}; every entry must be finite")
         return phi
 
@@ -211,7 +211,7 @@ class Mpc:
         else:
             acting, inputs = u, u[None]
         return MpcState(
-            prediction=model.A @ phi[: model.n] + model.B @ acting if p.form == "velocity" else None,
+            prediction=model.A.dot(phi[: model.n]) + model.B.dot(acting) if p.form == "velocity" else None,
             inputs=inputs,
             momentum=phi[p.parameters["h"]] - model.dt * acting,
             active=solution.active,
@@ -253,8 +253,8 @@ def mpc(
     hmax : scalar or (m,) soft limit of |h|, the momentum stored in the actuators; h+ = h - dt u
     delay : samples between a command and its action; the prediction starts when the command acts
     penalty : weight of an excess s of a soft limit, penalty (s + s^2/2), where s is relative to the limit and the
-        objective is in units of what full command held over Np costs (errors over the horizon, and R once). A soft limit
-        is kept exactly, where it can be kept, as long as its multiplier stays below the penalty.
+        objective is in units of what full command held over Np costs (errors over the horizon, and R once). A soft
+        limit is kept exactly, where it can be kept, as long as its multiplier stays below the penalty.
 
     Raises
     ------
@@ -303,4 +303,4 @@ def mpc(
     if problem.condition > CONDITIONED:
         return Mpc(problem=problem, qp=prestabilise(problem))
     posed, exact = pose(problem), LongArithmetic(problem, commands=True)
-    return Mpc(problem=problem, qp=canonicalise(posed.problem, posed.phi, posed.variables, exact))
+    return Mpc(problem=problem, qp=canonicalise(posed.problem, posed.phi, posed.variables, exact, m))

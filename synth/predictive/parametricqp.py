@@ -69,6 +69,7 @@ class ParametricQp:
     offset: np.ndarray  # (2 N + M,)
     slope: np.ndarray  # (2 N + M, parameters)
     exact: Exactly | None = None  # the last resort, to be picklable
+    used: int | None = None  # number of leading variables that the caller uses and that are checked; all unless given
     scratch: threading.local = field(init=False, repr=False, default_factory=threading.local)
 
     def __post_init__(self):
@@ -80,7 +81,7 @@ class ParametricQp:
         model = daqp.Model()
         flag, _ = model.setup(self.P, self.offset[:N], self.A, self.offset[N:], self.lower, self.cold_start())
         try:
-            optimality = Optimality(self.P, self.A, self.lower) if flag >= 0 else None
+            optimality = Optimality(self.P, self.A, self.lower, self.used or N) if flag >= 0 else None
         except np.linalg.LinAlgError:
             optimality = None
         if optimality is None:
@@ -93,7 +94,7 @@ class ParametricQp:
         return model, optimality
 
     def __reduce__(self):
-        return type(self), (self.P, self.A, self.lower, self.offset, self.slope, self.exact)
+        return type(self), (self.P, self.A, self.lower, self.offset, self.slope, self.exact, self.used)
 
     def cold_start(self) -> np.ndarray:
         """The empty working set, (N + M,)."""
@@ -106,33 +107,34 @@ class ParametricQp:
         return both[:N], both[N:]
 
     def solve(self, phi: np.ndarray, active: np.ndarray) -> Solution:
-        """The optimum for the parameters `phi`, within `ACCURACY`: by DAQP from the working set `active`, else again.
+        """The optimum for the parameters `phi`, to `ACCURACY`: by DAQP from the working set `active`, else again.
 
         Raises
         ------
         NumericalError : no route leads to an optimum that passes the check; the statuses say how.
         """
         f, upper = self.vectors(phi)
-        v, y, status = self.solve_daqp(f, upper, active)
-        if status:
-            return self.solve_again(phi, f, upper, {"daqp": status})
-        return Solution(v, y, as_active(y), "daqp")
+        solution, status = self.solve_daqp(f, upper, active)
+        return solution or self.solve_again(phi, f, upper, {"daqp": status})
 
-    def solve_daqp(self, f: np.ndarray, upper: np.ndarray, active: np.ndarray) -> tuple[np.ndarray, np.ndarray, str]:
-        """(v, multipliers, what is wrong with them)."""
+    def solve_daqp(self, f: np.ndarray, upper: np.ndarray, active: np.ndarray) -> tuple[Solution | None, str]:
+        """The optimum by DAQP, or None and why there is none."""
         try:
             model, optimality = self.scratch.daqp, self.scratch.optimality
         except AttributeError:  # the first solve in this thread
             model, optimality = self.scratch.daqp, self.scratch.optimality = self.workspace()
         flag = model.update(f=f, bupper=upper, sense=active)
         if flag:
-            return f, upper, str(flag)
+            return None, str(flag)
         v, _, flag, info = model.solve()
-        y = info["lam"]
         if flag != 1:
-            return v, y, str(flag)
-        error = optimality.error(v, y, f, upper, ACCURACY)
-        return v, y, "" if error <= ACCURACY else f"error up to {error:.1e}"
+            return None, str(flag)
+        y = info["lam"]
+        active = DAQP_ACTIVE.take(np.sign(y).astype(np.intp), mode="wrap")
+        error = optimality.error(v, y, f, upper, active)
+        if not error <= ACCURACY:
+            error = optimality.rounding(v, y, f, upper)
+        return (Solution(v, y, active, "daqp"), "") if error <= ACCURACY else (None, f"error up to {error:.1e}")
 
     def solve_again(self, phi: np.ndarray, f: np.ndarray, upper: np.ndarray, statuses: dict[str, str]) -> Solution:
         """The optimum by Clarabel or in long arithmetic, after DAQP ended with `statuses`; raises as `solve`."""
@@ -140,7 +142,7 @@ class ParametricQp:
         if status in ("Solved", "AlmostSolved"):
             optimality = self.scratch.optimality
             for w, prices in (*optimality.refined(v, y, f, upper), (v, y)):
-                error = optimality.error(w, prices, f, upper, ACCURACY)
+                error = optimality.rounding(w, prices, f, upper)
                 if error <= ACCURACY:
                     return Solution(w, prices, self.cold_start(), "clarabel")
                 status += f", error up to {error:.1e}"
@@ -181,13 +183,12 @@ class ParametricQp:
         return np.asarray(solution.x), y, str(solution.status)
 
 
-def as_active(multipliers: np.ndarray) -> np.ndarray:
-    """The working set of these multipliers, as DAQP has it."""
-    return DAQP_ACTIVE.take(np.sign(multipliers).astype(np.intp), mode="wrap")
-
-
 def canonicalise(
-    problem: cp.Problem, phi: cp.Parameter, variables: list[cp.Variable], exact: Exactly | None = None
+    problem: cp.Problem,
+    phi: cp.Parameter,
+    variables: list[cp.Variable],
+    exact: Exactly | None = None,
+    used: int | None = None,
 ) -> ParametricQp:
     """The quadratic program in `variables`, all others eliminated by the equality constraints that define them.
 
@@ -198,6 +199,7 @@ def canonicalise(
     problem : a quadratic program whose only parameter is the vector `phi`
     variables : vectors without attributes that determine all others through equality constraints
     exact : solves the same program in long arithmetic, if there is such a way
+    used : number of leading variables whose error counts; all unless given
 
     Raises
     ------
@@ -231,11 +233,16 @@ def canonicalise(
     affine = np.abs(both - offset - slope @ probe).max() <= 1e-9 * scale
     if not (np.array_equal(P, P1) and np.array_equal(A, A1) and affine):
         raise NumericalError("CVXPY's program is not affine in its parameter: check the scale of the data")
-    return split_bounds((P + P.T) / 2, A, offset, slope, exact)
+    return split_bounds((P + P.T) / 2, A, offset, slope, exact, used)
 
 
 def split_bounds(
-    P: np.ndarray, A: np.ndarray, offset: np.ndarray, slope: np.ndarray, exact: Exactly | None = None
+    P: np.ndarray,
+    A: np.ndarray,
+    offset: np.ndarray,
+    slope: np.ndarray,
+    exact: Exactly | None = None,
+    used: int | None = None,
 ) -> ParametricQp:
     """Rows that bound one variable by a constant become bounds of that variable."""
     N = P.shape[0]
@@ -255,4 +262,5 @@ def split_bounds(
         offset=np.concatenate([offset[:N], upper, offset[N:][rest]]),
         slope=np.vstack([slope[:N], np.zeros((N, slope.shape[1])), slope[N:][rest]]),
         exact=exact,
+        used=used,
     )

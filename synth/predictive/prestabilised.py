@@ -16,7 +16,7 @@ from flint import arb, arb_mat, ctx
 from synth.predictive.exactprogram import exact_program, rounded
 from synth.predictive.leastnorm import least_norm
 from synth.predictive.mpcproblem import MpcProblem
-from synth.predictive.parametricqp import ParametricQp, Solution, as_active
+from synth.predictive.parametricqp import DAQP_ACTIVE, ParametricQp, Solution
 
 STIFF = 1e6  # a penalty beyond this times the weight of a command drowns the rest of the objective in its rounding
 
@@ -88,6 +88,7 @@ class PrestabilisedQp(ParametricQp):
             self.lower[rows],
             self.offset[vectors],
             self.slope[vectors],
+            used=self.used,
         )
 
     def solve(self, phi: np.ndarray, active: np.ndarray) -> Solution:
@@ -97,14 +98,15 @@ class PrestabilisedQp(ParametricQp):
         f, upper = self.vectors(phi)
         N, n = len(self.P), len(self.kept.P)
         rows = np.r_[:n, N : upper.size]
-        v, y, status = self.kept.solve_daqp(f[:n], upper[rows], active[rows])
-        if not status:
-            price = f[n:] + self.A[:, n:].T @ y[n:]  # what is left of the penalty
-            if (price >= 0).all():
-                y = np.concatenate([y[:n], -price, y[n:]])
-                return Solution(np.concatenate([v, np.zeros(N - n)]), y, as_active(y), "daqp")
-            status = "a soft limit is worth more than its penalty"
-        return self.solve_exactly(phi, {"daqp": status})
+        solution, status = self.kept.solve_daqp(f[:n], upper[rows], active[rows])
+        if solution is None:
+            return self.solve_exactly(phi, {"daqp": status})
+        price = f[n:] + self.A[:, n:].T @ solution.multipliers[n:]  # what is left of the penalty
+        if not (price >= 0).all():
+            return self.solve_exactly(phi, {"daqp": "a soft limit is worth more than its penalty"})
+        v, y, active = np.zeros(N), np.zeros(upper.size), np.full(upper.size, DAQP_ACTIVE[-1])
+        v[:n], y[rows], y[n:N], active[rows] = solution.v, solution.multipliers, -price, solution.active
+        return Solution(v, y, active, "daqp")
 
 
 def prestabilise(p: MpcProblem) -> ParametricQp:
@@ -128,4 +130,4 @@ def prestabilise(p: MpcProblem) -> ParametricQp:
     slope[:m] = rounded(e.gradient)
     slope[2 * (N + slacks) :] = -rows[:, N:]
     long = LongArithmetic(p, commands=False)
-    return PrestabilisedQp((P + P.T) / 2, A, lower, np.concatenate([f, upper]), slope, long)
+    return PrestabilisedQp((P + P.T) / 2, A, lower, np.concatenate([f, upper]), slope, long, m)

@@ -193,21 +193,28 @@ def test_growth_beyond_doubles_is_refused():
         mpc(plant(10, 1), Q=1, R=1, Np=400, Nc=400, umin=-1, umax=1, form="position")
 
 
-def test_what_passes_the_check_is_the_optimum():
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_what_passes_the_check_is_the_optimum(scale):
     """A right answer passes; a wrong one, whatever is wrong with it, does not, in any scale of the objective."""
     rng = np.random.default_rng(3)
-    for scale in (1e-6, 1.0, 1e6):
-        controller, state, x, r = random_step(4, largest=8, growth=1.1)
-        qp = controller.qp
-        phi = controller.parameters(state, 30 * x, r)
-        v, y, *_ = qp.solve(phi, qp.cold_start())
-        f, upper = qp.vectors(phi)
-        check = type(qp.scratch.optimality)(scale * qp.P, qp.A, qp.lower)
-        assert check.error(v, scale * y, scale * f, upper, 1e-8) <= 1e-8
-        for size in (1e-7, 1e-4, 1.0):
-            off = size * rng.standard_normal(v.size)
-            assert check.error(v + off, scale * y, scale * f, upper, 1e-8) > 1e-8
-        assert check.error(v * np.nan, scale * y, scale * f, upper, 1e-8) == np.inf
+    controller, state, x, r = random_step(9, largest=8, growth=1.1)
+    qp = controller.qp
+    phi = controller.parameters(state, 30 * x, r)
+    v, y, active, _ = qp.solve(phi, qp.cold_start())
+    f, upper = qp.vectors(phi)
+    check = type(qp.scratch.optimality)(scale * qp.P, qp.A, qp.lower, len(qp.P))
+    assert np.count_nonzero(active) > 5
+    assert check.error(v, scale * y, scale * f, upper, active) <= 1e-8
+    assert check.rounding(v, scale * y, scale * f, upper) <= 1e-8
+    for size in (1e-7, 1e-4, 1.0):
+        off = size * rng.standard_normal(v.size)
+        for bound in (
+            check.error(v + off, scale * y, scale * f, upper, active),
+            check.rounding(v + off, scale * y, scale * f, upper),
+        ):
+            assert bound >= 0.1 * np.abs(off).max() / max(1, np.abs(v).max())
+    assert not check.error(v * np.nan, scale * y, scale * f, upper, active) <= 1e-8
+    assert check.rounding(v * np.nan, scale * y, scale * f, upper) == np.inf
 
 
 def test_a_step_that_fails_its_check_is_answered_otherwise_and_counted(monkeypatch):
