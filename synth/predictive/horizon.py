@@ -195,8 +195,8 @@ class Mpc:
         Notes
         -----
         What leaves is within 1e-8 of the optimum, in units of the larger limit: the residuals of the optimality
-        conditions prove it of DAQP's and Clarabel's answers (`Optimality`); the last resort, long arithmetic, takes
-        seconds. `fallbacks` counts the steps that DAQP did not answer, or not well enough.
+        conditions prove it of DAQP's and Clarabel's answers (`Optimality`); the last resort, long arithmetic, may take
+        minutes. `fallbacks` counts the steps that DAQP did not answer, or not well enough.
         """
         p, model = self.problem, self.problem.model
         phi = self.parameters(state, y, r)
