@@ -256,10 +256,16 @@ def acceptance_data(found: Any) -> dict[str, Any]:
     from dataclasses import asdict
 
     conditions = [{**asdict(c), "verdict": c.verdict} for c in found.conditions]
-    kept = None if found.margins is None else asdict(found.margins)
+    kept, margins = found.margins, None
+    if kept is not None:
+        margins = {end: [asdict(one) for one in getattr(kept, end)] for end in ("input", "output")}
+        for end in ("disk_input", "disk_output"):
+            disk = getattr(kept, end)
+            margins[end] = {"alpha": disk.alpha, "frequency": disk.frequency, "skew": disk.skew}
+        margins |= {"ncf": kept.ncf, "dt": kept.dt}
     return {
         "passed": found.passed, "verdict": found.verdict, "level": found.level, "dt": found.dt,
-        "conditions": conditions, "margins": kept,
+        "conditions": conditions, "margins": margins,
     }  # fmt: skip
 
 

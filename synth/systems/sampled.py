@@ -50,7 +50,7 @@ def c2d(G: Any, dt: float, method: str = "zoh") -> StateSpace:
     """
     G = as_system("G", G)
     if G.discrete:
-        raise ModelError(f"G is already discrete ({timebase_told(G.dt)}); c2d takes a continuous one")
+        raise ModelError(f"the system G is already discrete ({timebase_told(G.dt)}); c2d takes a continuous one")
     dt = as_period(dt)
     as_choice("method", method, ("zoh", "tustin"))
     if G.n == 0:

@@ -206,7 +206,7 @@ Wr = 1
         ("[1, 0.5]", "[1]", "plant.A[1]: 2 entries where row 0 has 1"),
         ("dt = 0.5", "dt = -1", "plant.dt: -1 is not at least 0"),
         ("dt = 0.5\n", "", "plant.dt: missing; 0 for continuous time, or the sampling time in s"),
-        ("dt = 0.5", "dt = 0.5\nsample = 1", "plant: the system is already discrete (dt = 0.5 s)"),
+        ("dt = 0.5", "dt = 0.5\nsample = 1", "plant: the system G is already discrete (dt = 0.5 s)"),
         ("dt = 0.5", 'dt = 0.5\nu = ["a", "b"]', "plant.u: expected 1 different names, found 2"),
         ("tracking", "loopshaping", "weights.Wproc: unknown"),
         ("tracking", "generalized", "plant: the problem 'generalized' needs a plant with A, B1, B2, ..., D22"),
