@@ -256,17 +256,27 @@ def acceptance_data(found: Any) -> dict[str, Any]:
     from dataclasses import asdict
 
     conditions = [{**asdict(c), "verdict": c.verdict} for c in found.conditions]
-    kept, margins = found.margins, None
-    if kept is not None:
-        margins = {end: [asdict(one) for one in getattr(kept, end)] for end in ("input", "output")}
-        for end in ("disk_input", "disk_output"):
-            disk = getattr(kept, end)
-            margins[end] = {"alpha": disk.alpha, "frequency": disk.frequency, "skew": disk.skew}
-        margins |= {"ncf": kept.ncf, "dt": kept.dt}
     return {
         "passed": found.passed, "verdict": found.verdict, "level": found.level, "dt": found.dt,
-        "conditions": conditions, "margins": margins,
+        "conditions": conditions, "margins": None if found.margins is None else margins_data(found.margins),
     }  # fmt: skip
+
+
+def margins_data(kept: Any) -> dict[str, Any]:
+    """The `Margins` of a loop as plain data."""
+    from dataclasses import asdict
+
+    def disk(one: Any) -> dict[str, float]:
+        return {"alpha": one.alpha, "frequency": one.frequency, "skew": one.skew}
+
+    return {
+        "input": [asdict(one) for one in kept.input],
+        "output": [asdict(one) for one in kept.output],
+        "disk_input": disk(kept.disk_input),
+        "disk_output": disk(kept.disk_output),
+        "ncf": kept.ncf,
+        "dt": kept.dt,
+    }
 
 
 def acceptance_text(found: Any) -> str:
