@@ -35,7 +35,7 @@ CENTRES = 60  # at most; each brings t nearer by the factor NEARER
 NEARER = 0.1
 NEAR_CENTRE = 0.25  # Newton decrement from which on full steps stay inside
 BALANCED = 1e-3  # change of a scale by which balancing ends
-SWEEPS = 60  # of balancing
+SWEEPS = 200  # of balancing
 UNCOUPLED = 1e-10  # relative size of a coupling that is none
 SCALINGS = 400  # at most, to cover the circle
 SHARP = 1e-5  # of an interval of angles: where a maximum is climbed again if it is lower at the ends
@@ -65,18 +65,17 @@ class Peak(NamedTuple):
 def balanced_scaling(M: np.ndarray) -> Scaled:
     """The scaling that gives row and column i like norms (Osborne); it is the best one for two channels.
 
-    Of two channels that are coupled one way only, the coupling can be scaled away: down to `UNCOUPLED`, both ways.
+    Of two channels that are coupled one way only, the coupling can be scaled away: down to `UNCOUPLED`, which every
+    entry counts at least in the coordinates reached, so that rounding errors of zero couple nothing either.
     """
-    size = np.abs(M)
-    tiny = UNCOUPLED * max(float(np.abs(np.linalg.eigvals(size)).max()), UNCOUPLED * size.max())
-    np.fill_diagonal(size, 0.0)
-    back = np.divide(tiny**2, size.T, out=np.zeros_like(size), where=size.T > 0)
-    size = np.maximum(size, back) ** 2
-    D = np.ones(len(M))
+    size = np.abs(M) ** 2
+    radius = float(np.abs(np.linalg.eigvals(np.abs(M))).max())
+    least = (UNCOUPLED * max(radius, UNCOUPLED * float(np.abs(M).max()))) ** 2
+    off, D = ~np.eye(len(M), dtype=bool), np.ones(len(M))
     for _ in range(SWEEPS):
         most = 1.0
-        for i in range(len(M)):
-            row, column = size[i].sum(), size[:, i].sum()
+        for i, others in enumerate(off):
+            row, column = np.maximum(size[i], least)[others].sum(), np.maximum(size[:, i], least)[others].sum()
             if row > 0 and column > 0:
                 factor = (column / row) ** 0.25
                 most = max(most, factor, 1 / factor)

@@ -206,3 +206,27 @@ def test_both_ends_of_a_loop_that_a_controller_decouples(seed):
     both = found.disk_both
     assert 0 < both.alpha < 2 * (np.sqrt(2) - 1) + 1e-7  # that of a well-conditioned plant
     assert abs(boundary(found.loops.both, both.factors)) == pytest.approx(both.frequency, rel=1e-4)
+
+
+@pytest.mark.parametrize("modes", [0, 3, 12])
+def test_flexible_satellite_under_proportional_derivative_control(modes):
+    """Angles and rates are measured, so that at rest half of the output's channels see the others one way only."""
+    rng = np.random.default_rng(modes)
+    n, J = 6 + 2 * modes, np.diag([10.0, 12.0, 8.0])
+    A, B, C = np.zeros((n, n)), np.zeros((n, 3)), np.eye(6, n)
+    A[:3, 3:6], B[3:6] = np.eye(3), np.linalg.inv(J)
+    for i, w in zip(range(6, n, 2), np.geomspace(1, 100, modes), strict=True):
+        A[i, i + 1], A[i + 1, i], A[i + 1, i + 1] = 1.0, -(w**2), -0.01 * w
+        B[i + 1] = C[:3, i] = C[3:, i + 1] = 0.1 * rng.normal(size=3)
+    P, K = StateSpace(A, B, C, np.zeros((6, 3))), StateSpace.gain(np.hstack([0.5 * J, 1.5 * J]), 0.0)
+    found = margins(P, K)
+    y = 10.0 ** rng.integers(-3, 4, 6)
+    moved = margins(
+        in_turned_coordinates(StateSpace(A, B, y[:, None] * C, np.zeros((6, 3))), rng), StateSpace.gain(K.D / y, 0.0)
+    )
+    for disk in ("disk_input", "disk_output", "disk_both"):
+        one_of_them = getattr(found, disk)
+        assert getattr(moved, disk).alpha == pytest.approx(one_of_them.alpha, rel=COORDINATES), disk
+        assert 0 < one_of_them.alpha < 2
+    assert abs(boundary(found.loops.input, found.disk_input.factors)) == pytest.approx(found.disk_input.frequency)
+    assert found.disk_both.alpha <= found.disk < min(each.alpha for each in found.disk_inputs) * (1 + 1e-6)

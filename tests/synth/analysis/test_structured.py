@@ -78,3 +78,16 @@ def test_the_peak_over_frequency_is_above_a_fine_grid_and_reached(seed, m):
     peak = structured_norm(G)
     assert mu(peak.angle) == pytest.approx(peak.value, rel=1e-9)
     assert max(mu(angle) for angle in np.linspace(0, np.pi, 300)) <= peak.value * (1 + 1e-7)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_rounding_errors_of_zero_couple_nothing(seed):
+    """Blocks that see one another one way only, the way back a rounding error or none, in any units."""
+    rng = np.random.default_rng([seed, 3])
+    m = int(rng.integers(2, 4))
+    A, B = drawn(seed, m), drawn(seed + 100, m)
+    noise = 10.0 ** rng.uniform(-40, -18, (m, m)) * (rng.random((m, m)) < 0.5)
+    M = np.block([[A, 10 ** rng.uniform(-3, 3) * drawn(seed + 200, m)], [noise, B]])
+    d = units(seed, 2 * m)
+    expected = max(best_scaling(A).norm, best_scaling(B).norm)
+    assert best_scaling(M * d[:, None] / d).norm == pytest.approx(expected, rel=1e-7)
