@@ -19,6 +19,7 @@ from scipy.linalg import get_lapack_funcs
 from synth.checks import SYMMETRIC, as_array
 from synth.equations.refinement import (
     CERTAIN,
+    ROUNDED,
     Equation,
     Evaluated,
     Inverse,
@@ -34,12 +35,13 @@ from synth.equations.starts import Folded, doubling, folded, hamiltonian, pencil
 from synth.errors import ModelError
 from synth.systems.modes import crosses, decay, doubts, unreachable, unseen
 
-ACCURATE = 1e-12  # relative residual at which no other start is tried
-TOGETHER = 1e-13  # relative residual up to which a lane needs no solution of its own
+ACCURATE = 1e-14  # relative residual at which no other start is tried
+TOGETHER = 1e-14  # relative residual up to which a lane needs no solution of its own
 UNDOUBTED = 1e-2  # doubt up to which a lane needs none
-ACCEPTED = 1e-9  # relative residual; a solution worse than this is no solution
+ACCEPTED = 1e-12  # relative residual; a solution worse than this is no solution
 SINGULAR = 1e-14  # relative singular value of a descriptor matrix
 FAR = 1e-5  # relative distance of a closed loop's poles from the boundary that rounding does not make
+SURE = 10.0  # doubts by which a mode of the plant is off the boundary: its coordinates cost some
 DOUBTED = 1e6  # doubt beyond which poles that look sound come from multiple roots on the boundary
 PLAIN = 1e-3  # the same at a glance
 SETTLED = 1e-10  # relative size of a step of Newton's method whose square is lost in rounding
@@ -110,7 +112,7 @@ def care(A, B, Q, R=None, N=None, E=None) -> Solution:
 def dare(A, B, Q, R=None, N=None, E=None) -> Solution:
     """Stabilising solutions of E'X E = A'X A - (A'X B + N) (R + B'X B)^-1 (A'X B + N)' + Q, as `care`.
 
-    The boundary is the unit circle. R may be singular or zero: of a solution, R + B'X B is positive definite.
+    The boundary is the unit circle. R may be singular, zero or indefinite, as long as R + B'X B is not singular.
     """
     return _all(_checked(A, B, Q, R, N, E, discrete=True))
 
@@ -203,7 +205,7 @@ def _refined(e: Equation, X: np.ndarray, inverse_E: np.ndarray | None) -> Found 
             (stable, inverse), poles = by_squaring(v.closed, True), None
         else:
             poles, inverse = by_schur(v.closed)
-            stable = max(np.real(poles).tolist()) < 0
+            stable = -max(np.real(poles).tolist()) > ROUNDED * size(v.closed)
         if not stable:
             break
         best = Found(v, inverse, poles, settled)
@@ -222,8 +224,9 @@ def _stands(e: Equation, v: Evaluated, j: Judged) -> bool:
     """Whether the regulator is right mode by mode although the equation as a whole is ill-conditioned.
 
     Every mode that does not decay by itself is moved, semidefinite weights see those on the boundary, and the closed
-    loop decays. Rounding makes slow poles of multiple roots on the boundary, with a doubt beyond all bounds: either
-    the plant surely has no mode there, or the poles are fast. Indefinite weights say nothing of modes.
+    loop decays. Rounding makes stable poles of roots on the boundary too, of multiple ones with a doubt beyond all
+    bounds: either the plant surely has no mode there, or the doubt is small for poles that slow. Indefinite weights say
+    nothing of modes.
     """
     A, B = (e.A, e.B) if e.E is None else (np.linalg.solve(e.E, e.A), np.linalg.solve(e.E, e.B))
     F = np.linalg.pinv(e.R, hermitian=True) @ e.N.T
@@ -234,10 +237,14 @@ def _stands(e: Equation, v: Evaluated, j: Judged) -> bool:
     far = bool((decay(poles, discrete=e.discrete) > near).all())
     if not semidefinite(e):
         return far and j.doubt < 1
-    own, doubt = doubts(A - B @ F)
+    A = A - B @ F
+    own, doubt = doubts(A)  # to which zeros that a change of coordinates left as small numbers are data
     rates = decay(own, discrete=e.discrete)
-    sure = bool((np.abs(rates) > doubt).all())
-    return (sure or far) and j.doubt < DOUBTED and not unseen(A - B @ F, e.Q - e.N @ F, discrete=e.discrete)
+    if (rates - doubt > near).all():  # of a plant that decays, all is seen and moved
+        return True
+    sure = bool((np.abs(rates) > SURE * np.maximum(doubt, ROUNDED * size(A))).all())
+    believed = j.doubt < (DOUBTED if sure or far else 1)
+    return bool(believed) and not unseen(A, e.Q - e.N @ F, discrete=e.discrete)
 
 
 def semidefinite(e: Equation) -> bool:
@@ -292,10 +299,11 @@ def _step(e: Equation, X: np.ndarray, inverse_E: np.ndarray | None) -> tuple[np.
     v = evaluate(e, X, inverse_E)
     stable, inverse = by_squaring(v.closed, e.discrete)
     D = inverse(v.off)
-    X = X + (D if inverse_E is None else inverse_E.mT @ D @ inverse_E)
+    D = D if inverse_E is None else inverse_E.mT @ D @ inverse_E
+    X = X + D
     v = evaluate(e, (X + X.mT) / 2, inverse_E)
     j = judged(e, v, inverse, inverse_E)  # whose closed loop is the last one's but for the square of D
-    settled = j.residual <= TOGETHER
+    settled = (j.residual <= TOGETHER) & (size(D) <= SETTLED * size(X))
     return v.X, stable & settled & (j.doubt < UNDOUBTED), settled
 
 

@@ -31,12 +31,12 @@ ROUNDED = 1e-14  # relative error of data and terms that rounding explains
 CERTAIN = 0.03  # doubt up to which a solution is certain
 UNSEEN = 1e-6  # part of the unit of a driven state, squared a relative cost that rounding explains
 DARK = 0.5  # least doubt where the weight of a state is not to be told from none
-SQUARINGS = 60  # 2^60 samples
+SQUARINGS = 50  # 2^50 samples: slower decay than that is a mode on the stability boundary
 VANISHED = 1e-9  # size of a squared closed loop that counts as zero; the next square is lost in rounding
 DIVERGED = 1e100
 TINY = 1e-150  # keeps 0 / 0 from being one, and has a square
 
-gees, gesv, potrf, potrs, trsyl = get_lapack_funcs(("gees", "gesv", "potrf", "potrs", "trsyl"), dtype=np.float64)
+gees, gesv, posv, potrf, trsyl = get_lapack_funcs(("gees", "gesv", "posv", "potrf", "trsyl"), dtype=np.float64)
 
 
 class Equation(NamedTuple):
@@ -61,7 +61,7 @@ class Evaluated(NamedTuple):
 
     X: np.ndarray  # (n, n)
     K: np.ndarray  # (m, n) u = -K x
-    root: Any  # (m, m) lower triangular: root root' = R, in discrete time R + B'X B
+    weight: np.ndarray  # (m, m) of a change of the command: R, in discrete time R + B'X B
     closed: np.ndarray  # (n, n) E^-1 (A - B K)
     off: np.ndarray  # (n, n) residual, the right side of Newton's equation
 
@@ -82,32 +82,34 @@ def evaluate(e: Equation, X: np.ndarray, inverse_E: np.ndarray | None) -> Evalua
 
     Raises
     ------
-    numpy.linalg.LinAlgError : R, in discrete time R + B'X B, is not positive definite.
+    numpy.linalg.LinAlgError : R, in discrete time R + B'X B, is singular.
     """
     A, B, Q, R, N, E, discrete = e
     Bt, Nt = B.mT, N.mT
     if discrete:
         XA = X @ A
-        root = rooted(R + Bt @ X @ B)
-        K = solved_by(root, Bt @ XA + Nt)
+        weight = R + Bt @ X @ B
+        K = weighed(weight, Bt @ XA + Nt)
         closed = A - B @ K
         half = closed.mT @ (X @ closed) - (X if E is None else E.mT @ X @ E)
         off = (half + half.mT + Q + Q.mT) / 2
         cost = K.mT @ (R @ K / 2 - Nt)
     else:
-        root = rooted(R)
+        weight = R
         XE = X if E is None else X @ E
-        K = solved_by(root, Bt @ XE + Nt)
+        K = weighed(R, Bt @ XE + Nt)
         closed = A - B @ K
         off, cost = Q, XE.mT @ closed + K.mT @ (R @ K / 2 - Nt)
-    return Evaluated(X, K, root, closed if inverse_E is None else inverse_E @ closed, off + cost + cost.mT)
+    return Evaluated(X, K, weight, closed if inverse_E is None else inverse_E @ closed, off + cost + cost.mT)
 
 
-def solved_by(root: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """(root root')^-1 right, for a lower triangular root."""
-    if root.ndim == 2:
-        return potrs(root, right, lower=1)[0]
-    return solved(root.mT, solved(root, right))
+def weighed(weight: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """weight^-1 right of a symmetric weight, mostly a definite one; its rounding does not depend on units."""
+    if weight.ndim == 2:
+        *_, X, info = posv(weight, right)
+        return X if info == 0 else solved(weight, right)
+    d = np.sqrt(np.abs(np.diagonal(weight, axis1=-2, axis2=-1)))[..., None]
+    return solved(weight / (d * d.mT), right / d) / d
 
 
 def judged(e: Equation, v: Evaluated, inverse: Inverse, inverse_E: np.ndarray | None) -> Judged:
@@ -135,11 +137,12 @@ def _judged(e: Equation, v: Evaluated, inverse: Inverse, inverse_E: np.ndarray |
     residual = largest(v.off / np.maximum(M, scale))
     P = inverse(w[..., None] ** 2 * np.eye(w.shape[-1]))
     PE = P if inverse_E is None else P @ inverse_E
-    Bn = solved(v.root, e.B.mT @ PE.mT)
+    B = (PE @ e.B).mT
     if e.discrete:
-        PE, Bn = np.abs(v.closed).mT @ np.abs(PE), Bn @ v.closed
+        PE, B = np.abs(v.closed).mT @ np.abs(PE), B @ v.closed
     moved = largest(np.abs(PE) @ A / scale)
-    rest = size(Bn / w[..., None, :]) ** 2
+    B = B / w[..., None, :]
+    rest = size(B.mT @ weighed(v.weight, B))
     condition = size(P) / np.maximum(size(v.X), TINY)
     doubt = np.maximum(residual, ROUNDED) * np.maximum(moved, rest)
     return Judged(residual, condition, np.where(dark.any(-1), np.maximum(doubt, DARK), doubt))
@@ -158,7 +161,8 @@ def _units(M: np.ndarray, A: np.ndarray, e: Equation, v: Evaluated) -> tuple[np.
     if not dark.any():
         return w, dark
     rate = 1.0 if e.discrete else np.abs(np.trace(v.closed, axis1=-2, axis2=-1)[..., None]) / w.shape[-1]
-    commanded = (np.abs(e.B) / np.linalg.norm(v.root, axis=-1)[..., None, :]).max(-1) / rate
+    own = np.sqrt(np.abs(np.diagonal(v.weight, axis1=-2, axis2=-1)))
+    commanded = (np.abs(e.B) / own[..., None, :]).max(-1) / rate
     amplitude = np.where(dark, 0.0, 1 / w)
     for _ in range(w.shape[-1]):
         driven = np.maximum((A * amplitude[..., None, :]).max(-1) / rate, commanded)

@@ -112,10 +112,10 @@ def _cayley(f: Folded) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def pencil(e: Equation) -> np.ndarray | None:
-    """SciPy's solution of one equation, by the ordered QZ form of the extended pencil."""
+    """SciPy's solution of one equation in balanced states, by the ordered QZ form of the extended pencil."""
     solve = sla.solve_discrete_are if e.discrete else sla.solve_continuous_are
     try:
-        return solve(e.A, e.B, e.Q, e.R, e=e.E, s=e.N)
+        return solve(e.A, e.B, e.Q, e.R, e=e.E, s=e.N, balanced=False)
     except (np.linalg.LinAlgError, ValueError):
         return None
 

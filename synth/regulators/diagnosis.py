@@ -109,9 +109,10 @@ def _free(e: Equation) -> AssumptionError | None:
 def _popov(e: Equation) -> tuple[float, float, float]:
     """Where the least relative eigenvalue of Popov's function is lowest, that eigenvalue, and the highest such."""
     n, m = e.B.shape
-    F = solve(e._replace(Q=np.eye(n), R=np.eye(m), N=np.zeros((n, m)))).K
-    if not np.isfinite(F).all():
+    stabilising = solve(e._replace(Q=np.eye(n), R=np.eye(m), N=np.zeros((n, m))))
+    if not stabilising.ok:
         return 0.0, 0.0, 1.0
+    F = stabilising.K
     C = e.A - e.B @ F
     W = np.block([[e.Q, e.N], [e.N.T, e.R]])
     values, V = np.linalg.eigh(W)

@@ -303,7 +303,7 @@ def _regulator(A: Any, B: Any, Q: Any, R: Any, N: Any, E: Any, *, discrete: bool
         check_descriptor(E)
     equation = Equation(A, B, Q, R, N, E, discrete)
     found = solve(equation)
-    if not found.ok:
+    if not found.ok or (discrete and not is_definite(R + B.T @ found.X @ B)):
         raise failure(equation, found)
     return Regulator(found.K, (found.X + found.X.T) / 2, found.poles, found.judge)
 
