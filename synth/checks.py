@@ -6,6 +6,7 @@ argument, what was got, and what to pass instead. Nothing is clipped, rounded or
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -43,7 +44,7 @@ def as_array(
     finite: bool = True,
 ) -> np.ndarray:
     """Float64 numbers in an array of any shape, a copy; finite ones unless the caller looks at that itself."""
-    if type(value) is np.ndarray and value.dtype == np.float64 and np.isfinite(value).all():
+    if type(value) is np.ndarray and value.dtype == np.float64 and math.isfinite(np.vdot(value, value)):
         return value.copy()
     if callable(value):
         raise ModelError(f"{name} is not {kind} ({shown(value)}); {wanted}")
@@ -72,6 +73,8 @@ def as_array(
 def as_matrix(name: str, value: Any, shape: tuple[int | None, int | None] = (None, None)) -> np.ndarray:
     """A finite float64 matrix; numbers and vectors become the row or column that fits `shape`, None fits any size."""
     M = as_array(name, value, "pass numbers in rows and columns", "a real matrix")
+    if M.ndim == 2 and shape in ((None, None), M.shape):
+        return M
     if M.ndim > 2:
         raise ModelError(f"{name} has {M.ndim} dimensions; pass a matrix")
     if M.ndim < 2:
@@ -226,7 +229,7 @@ def as_names(key: str, names: Any, size: int, told: str = "") -> tuple[str, ...]
 def as_symmetric(name: str, value: Any, size: int) -> np.ndarray:
     """A symmetric weight of any signature; numbers and lists as in `as_weight`."""
     M = as_weight(name, value, size)
-    if (M == M.T).all():
+    if not np.count_nonzero(M != M.T):
         return M
     skew = np.abs(M - M.T).max(initial=0.0)
     if skew > SYMMETRIC * np.abs(M).max():

@@ -154,26 +154,23 @@ def solve(e: Equation) -> Solved:
 
 def _scaled(e: Equation, t: np.ndarray) -> tuple[Equation, np.ndarray]:
     """The equation of the states x / t, and the powers of two r, (n,), by which its rows were multiplied."""
-    n, m = e.B.shape
     if e.E is None:
         E, r = None, 1 / t
     else:
         E = e.E * t
         r = np.exp2(-np.round(np.log2(np.abs(E).max(1))))
         E = r[:, None] * E
-    data = np.empty((2 * n, n + m))
-    data[:n, :n], data[:n, n:], data[n:, :n], data[n:, n:] = e.A, e.B, e.Q, e.N
-    data *= np.concatenate([r, t])[:, None]
-    data[:, :n] *= t
-    return Equation(data[:n, :n], data[:n, n:], data[n:, :n], e.R, data[n:, n:], E, e.discrete), r
+    columns, rows = t[:, None], r[:, None]
+    return Equation(e.A * (rows * t), e.B * rows, e.Q * (columns * t), e.R, e.N * columns, E, e.discrete), r
 
 
 def _scales(H: np.ndarray) -> np.ndarray:
     """Powers of two, (n,), x = scales x_new, that balance a Hamiltonian matrix; going back is exact."""
     n = len(H) // 2
-    *_, s, _ = gebal(np.abs(H), scale=1, permute=0)
-    t = np.exp2(np.round(np.log2(s[:n] / s[n:]) / 2))
-    return t if math.isfinite(t @ (1 / t)) else np.ones(n)
+    *_, s, _ = gebal(H, scale=1, permute=0)
+    powers = np.frexp(s)[1]
+    t = np.ldexp(1.0, (powers[:n] - powers[n:]) // 2)
+    return t if math.isfinite((t @ t) * (1 / t @ (1 / t))) else np.ones(n)
 
 
 def _starts(e, f, H, t, inverse_E) -> Iterator[np.ndarray | None]:
@@ -192,18 +189,18 @@ def _starts(e, f, H, t, inverse_E) -> Iterator[np.ndarray | None]:
 
 def _refined(e: Equation, X: np.ndarray, inverse_E: np.ndarray | None) -> Found | None:
     """Newton's method until the residual no longer falls, or must be at rounding; None where no loop is stable."""
-    best, least, settled = None, np.inf, False
+    best, least, step = None, np.inf, np.inf
     for _ in range(NEWTON_STEPS):
         try:
             v = evaluate(e, X, inverse_E)
         except np.linalg.LinAlgError:
             break
-        left = size(v.off)
+        left, settled = size(v.off), step <= SETTLED
         if not left < least and not settled:
             break
         if e.discrete:
             (stable, inverse), poles = by_squaring(v.closed, True), None
-        else:
+        elif best is None or step > ROUNDED:  # less moves no pole
             poles, inverse = by_schur(v.closed)
             stable = -max(np.real(poles).tolist()) > ROUNDED * size(v.closed)
         if not stable:
@@ -216,7 +213,7 @@ def _refined(e: Equation, X: np.ndarray, inverse_E: np.ndarray | None) -> Found 
             D = inverse_E.T @ D @ inverse_E
         X = X + D
         X = (X + X.T) / 2
-        settled = size(D) <= SETTLED * size(X)
+        step = size(D) / (size(X) or 1.0)
     return best
 
 
@@ -343,10 +340,10 @@ def _checked(A, B, Q, R, N, E, *, discrete: bool) -> Equation:
 def is_definite(R: np.ndarray) -> bool:
     """Whether symmetric matrices are positive definite beyond rounding; the units of each row do not matter."""
     try:
-        roots = np.diagonal(rooted(R), axis1=-2, axis2=-1)
+        roots = rooted(R).diagonal(0, -2, -1)
     except np.linalg.LinAlgError:
         return False
-    return bool((roots**2 > SYMMETRIC * np.diagonal(R, axis1=-2, axis2=-1)).all())
+    return bool((roots * roots > SYMMETRIC * R.diagonal(0, -2, -1)).all())
 
 
 def check_descriptor(E: np.ndarray) -> None:

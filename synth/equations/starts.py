@@ -39,7 +39,7 @@ def folded(e: Equation, inverse_E: np.ndarray | None) -> Folded:
     numpy.linalg.LinAlgError : R is singular.
     """
     A, B = (e.A, e.B) if inverse_E is None else (inverse_E @ e.A, inverse_E @ e.B)
-    if not e.N.any():
+    if not np.count_nonzero(e.N):
         return Folded(A, B @ solved(e.R, B.mT), e.Q)
     F = solved(e.R, np.concatenate([np.broadcast_to(B.mT, e.N.mT.shape), e.N.mT], -1))
     G, N = F[..., : A.shape[-1]], F[..., A.shape[-1] :]

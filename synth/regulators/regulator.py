@@ -305,7 +305,7 @@ def _regulator(A: Any, B: Any, Q: Any, R: Any, N: Any, E: Any, *, discrete: bool
     found = solve(equation)
     if not found.ok or (discrete and not is_definite(R + B.T @ found.X @ B)):
         raise failure(equation, found)
-    return Regulator(found.K, (found.X + found.X.T) / 2, found.poles, found.judge)
+    return Regulator(found.K, found.X, found.poles, found.judge)
 
 
 def _scales(A: np.ndarray, B: np.ndarray, Q: np.ndarray) -> np.ndarray:
