@@ -36,7 +36,7 @@ from synth.errors import ModelError
 from synth.systems.modes import crosses, decay, doubts, unreachable, unseen
 
 ACCURATE = 1e-14  # relative residual at which no other start is tried
-TOGETHER = 1e-14  # relative residual up to which a lane needs no solution of its own
+TOGETHER = 1e-14  # relative residual, per root of the states, up to which a lane needs no solution of its own
 UNDOUBTED = 1e-2  # doubt up to which a lane needs none
 ACCEPTED = 1e-12  # relative residual; a solution worse than this is no solution
 SINGULAR = 1e-14  # relative singular value of a descriptor matrix
@@ -45,8 +45,10 @@ SURE = 10.0  # doubts by which a mode of the plant is off the boundary: its coor
 DOUBTED = 1e6  # doubt beyond which poles that look sound come from multiple roots on the boundary
 PLAIN = 1e-3  # the same at a glance
 SETTLED = 1e-10  # relative size of a step of Newton's method whose square is lost in rounding
+SQUARED = 1e-8  # the same where the residual is at rounding too
 NEWTON_STEPS = 20
 STEPS_TOGETHER = 8  # of Newton's method; a lane that needs more is solved alone
+FEW = 2  # lanes that are quicker alone
 LANES = 2**17  # numbers in one matrix of all lanes that go together: they stay near the processor
 
 (gebal,) = get_lapack_funcs(("gebal",), dtype=np.float64)
@@ -286,7 +288,7 @@ def _together(e: Equation) -> tuple[np.ndarray, np.ndarray]:
             own = None if inverse_E is None else inverse_E[part]
             X[part], certain[part], settled = _step(e.each(lambda M, part=part: M[part]), X[part], own)
             lanes = lanes[~settled & np.isfinite(X[lanes]).all((-2, -1))]
-            if not len(lanes):
+            if len(lanes) <= FEW:
                 break
     return X, certain
 
@@ -300,7 +302,7 @@ def _step(e: Equation, X: np.ndarray, inverse_E: np.ndarray | None) -> tuple[np.
     X = X + D
     v = evaluate(e, (X + X.mT) / 2, inverse_E)
     j = judged(e, v, inverse, inverse_E)  # whose closed loop is the last one's but for the square of D
-    settled = (j.residual <= TOGETHER) & (size(D) <= SETTLED * size(X))
+    settled = (j.residual <= TOGETHER * math.sqrt(X.shape[-1])) & (size(D) <= SQUARED * size(X))
     return v.X, stable & settled & (j.doubt < UNDOUBTED), settled
 
 

@@ -65,17 +65,35 @@ def unseen_chain(A, B, C, discrete):
 @pytest.mark.parametrize(("solve", "door", "discrete"), [(lqr, care, False), (dlqr, dare, True)])
 @pytest.mark.parametrize("spoil", [unmoved, unseen, unseen_chain])
 @settings(max_examples=20, deadline=None)
-@given(SEEDS, st.integers(3, 7), st.integers(1, 2), st.booleans())
-def test_no_gain_leaves_for_data_without_one(spoil, solve, door, discrete, seed, n, m, scaled):
+@given(SEEDS, st.integers(3, 7), st.integers(1, 2), st.sampled_from(["turned", "scaled", "companion"]))
+def test_no_gain_leaves_for_data_without_one(spoil, solve, door, discrete, seed, n, m, coordinates):
     rng = np.random.default_rng(seed)
     A, B, C = 0.5 * rng.standard_normal((n, n)), rng.standard_normal((n, m)), rng.standard_normal((n, n))
     spoil(A, B, C, discrete)
     T = np.linalg.qr(rng.standard_normal((n, n)))[0]
-    T = np.diag(10.0 ** rng.uniform(-4, 4, n)) @ T if scaled else T
+    if coordinates == "scaled":
+        T = np.diag(10.0 ** rng.uniform(-4, 4, n)) @ T
+    if coordinates == "companion":  # zeros become small numbers
+        T = np.linalg.inv(np.stack([np.linalg.matrix_power(A, k) @ T[0] for k in range(n)], 1))
     A, B, Q, _ = changed(A, B, C.T @ C, T)
     with pytest.raises((AssumptionError, NumericalError)):
         solve(A, B, Q, np.eye(m))
     assert not door(A, B, Q).ok
+
+
+@settings(max_examples=25, deadline=None)
+@given(SEEDS, st.integers(2, 6), st.floats(-8, -4))
+def test_a_weakly_seen_integrator_has_a_gain(seed, n, decade):
+    """The weight q of an integrator x1 alone: K1^2 = q where the others neither drive it nor are driven."""
+    rng = np.random.default_rng(seed)
+    A, B, T = np.diag(-rng.uniform(0.5, 2, n)), np.zeros((n, 2)), np.linalg.qr(rng.standard_normal((n, n)))[0]
+    A[0], B[0, 0], B[1:, 1] = 0, 1, 1
+    Q = np.diag([10.0**decade, *rng.uniform(0.5, 2, n - 1)])
+    A2, B2, Q2, _ = changed(A, B, Q, T)
+    found = lqr(A2, B2, Q2, np.eye(2))
+    digits = 1e-14 * max(found.condition, 1e2)
+    np.testing.assert_allclose((found.K @ T)[0, 0], 10 ** (decade / 2), rtol=0, atol=digits * np.abs(found.K).max())
+    assert care(A2, B2, Q2).ok
 
 
 @settings(max_examples=25, deadline=None)
