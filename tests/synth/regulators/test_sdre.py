@@ -134,6 +134,7 @@ def test_factorisation_is_the_dynamics(name):
             np.testing.assert_allclose(A @ x + B @ u, (ahead - behind) / (2 * h), rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.slow  # compiles
 def test_command_does_not_depend_on_the_sign_of_the_quaternion():
     y = random_measurements(1, seed=3)[0]
     mirrored = y * np.concatenate([-np.ones(4), np.ones(6)])
@@ -176,6 +177,7 @@ def test_robust_gain_is_that_of_loop_shaping():
     assert ncfmargin(G, observer, sign=1) >= (1 - 1e-6) / (1.1 * gamma_min)
 
 
+@pytest.mark.slow  # compiles
 def test_published_law_is_its_three_equations():
     """gamma = gamma_min and L = gamma^2 I + X Z, then the regulator of the controller; SciPy solves all three."""
     y = random_measurements(1, seed=8)[0]
@@ -283,6 +285,7 @@ def test_constant_gains_run_on_plain_arrays():
     np.testing.assert_allclose(u, expected, rtol=1e-12)
 
 
+@pytest.mark.slow  # compiles
 def test_sdre_settles_from_anywhere():
     """Modified Rodrigues parameters, inertia off by 20 per cent."""
     history, state = flown(Sdre.create(MODELS["mrp"], DT), *dispersed(12))
