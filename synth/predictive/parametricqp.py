@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 
 # The program is to be scaled to unit variables. No regularisation: the Hessian is to be positive definite.
 DAQP_SETTINGS = {"primal_tol": 1e-10, "eps_prox": 0.0}
-Exactly = Callable[[np.ndarray], np.ndarray]  # the optimum v at phi in long arithmetic; raises NumericalError
+# (phi, rows that are likely to be active or None) -> the optimum v in long arithmetic; raises NumericalError
+Exactly = Callable[[np.ndarray, np.ndarray | None], np.ndarray]
 DAQP_ACTIVE = np.array([0, 1, 3], dtype=np.intc)  # its flag for a row with multiplier 0, > 0 (upper), < 0 (lower)
 ACCURACY = 1e-8  # bound of the error with which an optimum is accepted, in units of each variable
 # As tight as double precision carries: the optimum of a flat objective is far less exact than its value.
@@ -153,12 +154,16 @@ class ParametricQp:
         if self.exact is None:
             raise NumericalError("neither DAQP nor Clarabel solved the program", statuses)
         try:
-            return Solution(self.exact(phi), np.zeros(0), self.cold_start(), "exact")
+            return Solution(self.exact(phi, self.likely(phi)), np.zeros(0), self.cold_start(), "exact")
         except NumericalError as error:
             statuses = statuses | {"exact": str(error)}
             raise NumericalError(
                 "the program was solved neither in doubles nor in long arithmetic", statuses
             ) from error
+
+    def likely(self, phi: np.ndarray) -> np.ndarray | None:
+        """Signs of the rows that are likely to be active, (N + M,), where there is a cheap guess."""
+        return None
 
     def solve_clarabel(self, f: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray, str]:
         """(v, multipliers, status) by an interior-point method."""

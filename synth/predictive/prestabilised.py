@@ -10,14 +10,16 @@ from __future__ import annotations
 import threading
 from dataclasses import dataclass, field
 
+import daqp
 import numpy as np
 from flint import arb, arb_mat, ctx
 
-from synth.predictive.exactprogram import exact_program, rounded
-from synth.predictive.leastnorm import least_norm
+from synth.predictive.exactprogram import Exact, exact_program, rounded
+from synth.predictive.leastnorm import LeastNorm
 from synth.predictive.mpcproblem import MpcProblem
-from synth.predictive.parametricqp import DAQP_ACTIVE, ParametricQp, Solution
+from synth.predictive.parametricqp import DAQP_ACTIVE, DAQP_SETTINGS, ParametricQp, Solution
 
+MILDER = (1e12, 1e8, 1e4, 1e2, 1.0, 1e-2, 1e-4)  # penalties that are tried for a guess of the active rows
 STIFF = 1e6  # a penalty beyond this times the weight of a command drowns the rest of the objective in its rounding
 
 
@@ -32,34 +34,51 @@ class LongArithmetic:
     def __reduce__(self):
         return LongArithmetic, (self.problem, self.commands)
 
-    def __call__(self, phi: np.ndarray) -> np.ndarray:
+    def __call__(self, phi: np.ndarray, active: np.ndarray | None = None) -> np.ndarray:
         """The optimal variables, then the slacks.
+
+        Parameters
+        ----------
+        active : (N + M,) rows of the program of `prestabilise` that are likely to be active, > 0 at the upper limit
 
         Raises
         ------
-        NumericalError : as `exact_program` and `least_norm`.
+        NumericalError : as `exact_program` and `LeastNorm.solve`.
         """
         p, m = self.problem, self.problem.model.nu
         try:
-            e = self.scratch.exact
+            e, least_norm = self.scratch.exact
         except AttributeError:
-            e = self.scratch.exact = exact_program(p, plain=False)
-        N, slacks = p.Nc * m, np.eye(e.slacks, dtype=int).tolist()
+            e, least_norm = self.scratch.exact = self.posed()
+        N = p.Nc * m
         with ctx.workprec(e.bits):
-            M = e.predictions.tolist()
-            by_phi = arb_mat([row[N:] for row in M]) * arb_mat(len(phi), 1, phi.tolist())
-            free, root = by_phi.entries(), arb(e.penalty).sqrt()  # slack = z / root - 1 makes its weight 1 as well
-            G = [[arb(0)] * N + [-j / root for j in one] for one in slacks]
+            M, root = e.predictions.tolist(), arb(e.penalty).sqrt()
+            free = (arb_mat([row[N:] for row in M]) * arb_mat(len(phi), 1, phi.tolist())).entries()
             b = [arb(-1)] * e.slacks
             for row, factor, bound, slack in zip(*e.limits, strict=True):
-                own = slacks[slack] if slack >= 0 else [0] * e.slacks
-                G.append([factor * t for t in M[row][:N]] + [-j / root for j in own])
                 b.append(bound - factor * free[row] - (slack >= 0))
-            z = least_norm(arb_mat(G), arb_mat(len(b), 1, b))[0].entries()
+            z = least_norm.solve(b, [] if active is None else self.rows(active, N, e.slacks))[0].entries()
             planned = (arb_mat([row[:N] for row in M[:N]]) * arb_mat(N, 1, z[:N])).entries()
             commands = [(u + c) / p.unit[i % m] for i, (u, c) in enumerate(zip(planned, free, strict=False))]
             v = commands if self.commands else commands[:m] + z[m:N]
             return np.array([float(e) for e in v] + [float(s / root - 1) for s in z[N:]])
+
+    def posed(self) -> tuple[Exact, LeastNorm]:
+        """The program, and its rows in variables of weight 1: a slack is z / root - 1."""
+        e, N = exact_program(self.problem, plain=False), self.problem.Nc * self.problem.model.nu
+        with ctx.workprec(e.bits):
+            M, unit = e.predictions.tolist(), 1 / arb(e.penalty).sqrt()
+            slacks = [[-unit * j for j in row] for row in np.eye(e.slacks, dtype=int).tolist()]
+            G, none = [[arb(0)] * N + row for row in slacks], [arb(0)] * e.slacks
+            for row, factor, _, slack in zip(*e.limits, strict=True):
+                G.append([factor * t for t in M[row][:N]] + (slacks[slack] if slack >= 0 else none))
+            return e, LeastNorm(arb_mat(G))
+
+    def rows(self, active: np.ndarray, N: int, slacks: int) -> list[int]:
+        """Where the active rows of the program of `prestabilise` stand here: slacks, both limits of u_0, the rest."""
+        m = self.problem.model.nu
+        first = np.column_stack([active[:m] > 0, active[:m] < 0]).ravel()
+        return np.flatnonzero(np.concatenate([active[N : N + slacks], first, active[N + slacks :]])).tolist()
 
 
 class PrestabilisedQp(ParametricQp):
@@ -107,6 +126,23 @@ class PrestabilisedQp(ParametricQp):
         v, y, active = np.zeros(N), np.zeros(upper.size), np.full(upper.size, DAQP_ACTIVE[-1])
         v[:n], y[rows], y[n:N], active[rows] = solution.v, solution.multipliers, -price, solution.active
         return Solution(v, y, active, "daqp")
+
+    def likely(self, phi: np.ndarray) -> np.ndarray | None:
+        """What DAQP makes of the program with a penalty that doubles carry: mostly the same rows are active."""
+        f, upper = self.vectors(phi)
+        slacks = self.offset[: f.size] != 0  # only they have a linear cost of their own
+        penalty = self.P[slacks, slacks].max(initial=0)
+        for milder in (penalty, *(e for e in MILDER if e < penalty)):
+            weight = np.where(slacks, milder / (penalty or 1), 1)
+            model = daqp.Model()
+            flag, _ = model.setup(self.P * weight, f * weight, self.A, upper, self.lower, self.cold_start())
+            if flag < 0:
+                continue
+            model.settings = DAQP_SETTINGS
+            _, _, flag, info = model.solve()
+            if flag == 1:
+                return np.sign(info["lam"])
+        return None
 
 
 def prestabilise(p: MpcProblem) -> ParametricQp:
