@@ -24,8 +24,8 @@ from synth.errors import NumericalError
 BITS = 512  # of the arithmetic
 DEPENDENT = 2.0**-160  # a row with a smaller part of its square beyond the working set lies in its span
 MET = 2.0**-60  # how far a row may exceed its limit, relative to the size of both or 1
-EFFORT = 16e6  # numbers of G that may be gone through, about two seconds
-LEAST = 40  # exchanges of rows that are allowed in any case
+EFFORT = 32e6  # numbers that may be gone through in exchanges of rows, about three seconds
+LEAST = 20  # exchanges that are allowed in any case
 
 
 class Optimum(NamedTuple):
@@ -48,7 +48,7 @@ class LeastNorm:
             self.G = arb_mat([[e * u for e in row] for row, u in zip(table, self.units, strict=True)]).mid()
             self.rows = self.G.tolist()
             self.squares = np.array([float(sum((e * e for e in row), arb(0))) for row in self.rows])
-        self.exchanges = LEAST + int(EFFORT / (G.nrows() * G.ncols()))
+        self.exchanges = LEAST + int(EFFORT / (G.nrows() * G.ncols() + 8 * G.ncols() ** 2))
 
     def solve(self, b: list[arb], start: Sequence[int] = ()) -> tuple[arb_mat, list[int], list[arb]]:
         """(z, working set, its multipliers) at the optimum.

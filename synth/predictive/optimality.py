@@ -21,6 +21,7 @@ import scipy.linalg as sla
 
 EPS = np.finfo(float).eps
 DISTINCT = 3e-6  # DAQP lets no row into its working set that is closer than this to the span of the others
+DAQP_ACTIVE = np.array([0, 1, 3], dtype=np.intc)  # its flag for a row with multiplier 0, > 0 (upper), < 0 (lower)
 KEPT = 512  # working sets whose effects are kept
 
 
@@ -41,23 +42,16 @@ class Optimality:
         self.lengthwise = np.hstack([self.inverse, self.inverse @ A.T])  # what is limited, where P is the identity
         self.products, self.residual = np.empty(lower.size), np.empty(lower.size)
         self.parts = self.products[:N], self.products[N:], self.residual[:N], self.residual[N:], np.empty(N)
-        self.effects: dict[bytes, np.ndarray] = {}
+        self.known: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
 
-    def error(self, v: np.ndarray, y: np.ndarray, f: np.ndarray, upper: np.ndarray, active: np.ndarray) -> float:
-        """A bound of |v - v*|, of each used variable in its own unit; rounding is not counted, see `rounding`.
+    def error(self, v: np.ndarray, y: np.ndarray, f: np.ndarray, upper: np.ndarray) -> tuple[float, np.ndarray]:
+        """(bound of |v - v*|, working set): of each used variable in its own unit; without rounding, see `rounding`.
 
-        Parameters
-        ----------
-        active : (N + M,) integers, not zero in the working set
+        The working set is (N + M,), as DAQP flags it.
         """
-        e, yA = self.residual, y[f.size :]
+        e, yA, signs = self.residual, y[f.size :], np.sign(y)
         g, w, e_v, e_w, prices = self.parts
-        effect = self.effects.get(active.tobytes())
-        if effect is None:
-            effect = self.effect(active != 0)
-            if len(self.effects) >= KEPT:
-                self.effects.clear()
-            self.effects[active.tobytes()] = effect
+        active, effect = self.known.get(signs.tobytes()) or self.met(signs)
         self.rows.dot(v, out=self.products)
         self.columns.dot(yA, out=prices)
         g += f
@@ -69,7 +63,15 @@ class Optimality:
         e_v -= v
         e_w -= w
         np.abs(e, out=e)
-        return effect.dot(e)
+        return effect.dot(e), active.copy()
+
+    def met(self, signs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(working set, its `effect`) of multipliers with these signs, from now on known."""
+        active = DAQP_ACTIVE.take(signs.astype(np.intp), mode="wrap")
+        if len(self.known) >= KEPT:
+            self.known.clear()
+        found = self.known[signs.tobytes()] = active, self.effect(active != 0)
+        return found
 
     def effect(self, active: np.ndarray) -> np.ndarray:
         """What a unit of each entry of the natural residual does to a used variable at the most, (N + M,)."""

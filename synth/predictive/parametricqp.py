@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 DAQP_SETTINGS = {"primal_tol": 1e-10, "eps_prox": 0.0}
 # (phi, rows that are likely to be active or None) -> the optimum v in long arithmetic; raises NumericalError
 Exactly = Callable[[np.ndarray, np.ndarray | None], np.ndarray]
-DAQP_ACTIVE = np.array([0, 1, 3], dtype=np.intc)  # its flag for a row with multiplier 0, > 0 (upper), < 0 (lower)
 ACCURACY = 1e-8  # bound of the error with which an optimum is accepted, in units of each variable
 # As tight as double precision carries: the optimum of a flat objective is far less exact than its value.
 CLARABEL_SETTINGS = {
@@ -131,8 +130,7 @@ class ParametricQp:
         if flag != 1:
             return None, str(flag)
         y = info["lam"]
-        active = DAQP_ACTIVE.take(np.sign(y).astype(np.intp), mode="wrap")
-        error = optimality.error(v, y, f, upper, active)
+        error, active = optimality.error(v, y, f, upper)
         if not error <= ACCURACY:
             error = optimality.rounding(v, y, f, upper)
         return (Solution(v, y, active, "daqp"), "") if error <= ACCURACY else (None, f"error up to {error:.1e}")

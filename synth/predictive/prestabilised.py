@@ -17,7 +17,8 @@ from flint import arb, arb_mat, ctx
 from synth.predictive.exactprogram import Exact, exact_program, rounded
 from synth.predictive.leastnorm import LeastNorm
 from synth.predictive.mpcproblem import MpcProblem
-from synth.predictive.parametricqp import DAQP_ACTIVE, DAQP_SETTINGS, ParametricQp, Solution
+from synth.predictive.optimality import DAQP_ACTIVE
+from synth.predictive.parametricqp import DAQP_SETTINGS, ParametricQp, Solution
 
 MILDER = (1e12, 1e8, 1e4, 1e2, 1.0, 1e-2, 1e-4)  # penalties that are tried for a guess of the active rows
 STIFF = 1e6  # a penalty beyond this times the weight of a command drowns the rest of the objective in its rounding
