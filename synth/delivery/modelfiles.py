@@ -17,15 +17,15 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from synth.checks import as_limits, as_matrix, as_path
+from synth.checks import as_limits, as_matrix, as_path, only_numbers, shown
 from synth.errors import ModelError
-from synth.files import write_atomically
+from synth.files import SEAL, check_seal, read_json, write_atomically
 from synth.regulators.antiwindup import AntiWindup
 from synth.synthesis import design as designs
 from synth.synthesis.design import Design
@@ -35,11 +35,12 @@ from synth.systems.statespace import StateSpace, as_system
 
 SYSTEM = "convex-synth system"
 CONTROLLER = "convex-synth controller"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 1  # of a system
+CONTROLLER_VERSION = 2
+UNSEALED = "read from a file of format version 1, which has no sha256 of all of it"
 NINE = tuple(f.name for f in fields(GeneralizedPlant))[:9]  # A, B1, ..., D22
 FRACTIONS = (("num", "den"), ("zeros", "poles", "gain"))  # instead of A, B, C, D
 LABELS = ("w", "u", "z", "y", "units")
-LONGEST_TEXT = 64 * 2**20  # bytes of a JSON file
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +57,7 @@ class Model:
     y: tuple[str, ...] = ()  # (p) names of the outputs
     units: dict[str, str] = field(default_factory=dict)  # of the signals that have one
     limited: AntiWindup | None = None  # a controller with the limits and the gain that its file holds
+    warnings: tuple[str, ...] = ()  # what a user must know of the file
 
     def __post_init__(self):
         for key, size in (("u", self.system.nu), ("y", self.system.ny)):
@@ -76,10 +78,6 @@ def read(path: str | os.PathLike[str]) -> Design | GeneralizedPlant | Model:
     VerificationError : a design does not do what its file says.
     """
     path = as_path("path", path)
-    if not path.exists():
-        raise ModelError("there is no such file")
-    if path.is_dir():
-        raise ModelError("this is a folder; pass a file")
     if path.suffix == ".mat":
         return _from_mat(path)
     data = read_json(path)
@@ -88,44 +86,47 @@ def read(path: str | os.PathLike[str]) -> Design | GeneralizedPlant | Model:
         return designs.from_dict(data)
     if kind not in (SYSTEM, CONTROLLER):
         known = ", ".join(map(repr, (designs.FORMAT, CONTROLLER, SYSTEM)))
-        raise ModelError(f"the format is {kind!r}; one of {known} can be read here")
-    if data.get("format_version") != FORMAT_VERSION:
+        raise ModelError(f"the format is {shown(kind)}; one of {known} can be read here")
+    version, last = data.get("format_version"), CONTROLLER_VERSION if kind == CONTROLLER else FORMAT_VERSION
+    if isinstance(version, bool) or version not in range(1, last + 1):
         raise ModelError(
-            f"format_version is {data.get('format_version')!r}, this release reads {FORMAT_VERSION}; read the file "
-            "with the release that wrote it"
+            f"format_version is {shown(version)}, this release reads {' and '.join(map(str, range(1, last + 1)))}; "
+            "read the file with the release that wrote it"
         )
-    return as_model(data)
+    return _controller(data) if kind == CONTROLLER else as_model(data)
 
 
-def read_json(path: Path) -> Any:
-    """The data in a JSON file without the numbers that JSON does not know."""
-
-    def refuse(text: str) -> None:
-        raise ModelError(f"it holds {text}, which is no number; every entry must be finite")
-
-    try:
-        if path.stat().st_size > LONGEST_TEXT:
-            raise ModelError(f"it is larger than {LONGEST_TEXT >> 20} MiB, which no controller needs")
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
-    except OSError as error:
-        raise ModelError(f"it cannot be read ({error.strerror})") from None
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-        raise ModelError(f"it is no JSON ({error})") from None
+def _controller(data: dict[str, Any]) -> Model:
+    """A controller as `export` writes it; files of version 1 have no sha256 of all of it."""
+    sealed = data.get("format_version") == CONTROLLER_VERSION
+    if sealed:
+        check_seal(data)
+    elif SEAL in data:
+        raise ModelError(f"it has format version 1 and a {SEAL}: one of them was changed")
+    found = as_model(data)
+    if not isinstance(found, Model):
+        raise ModelError("it has the matrices of a generalised plant, which is no controller")
+    own = f"sha256 {found.system.digest()}"
+    if data.get("controller", own) != own:
+        raise ModelError("its matrices are not those whose sha256 it tells: one of them was changed")
+    return found if sealed else replace(found, warnings=(UNSEALED,))
 
 
 def as_model(data: dict[str, Any]) -> GeneralizedPlant | Model:
     """A system from plain data: matrices, `dt`, names and units."""
     nine = "B1" in data
     form = next((keys for keys in FRACTIONS if any(key in data for key in keys)), None) if not nine else None
-    wanted = (*(NINE if nine else form or tuple("ABCD")), "dt")
-    if missing := [name for name in wanted if name not in data]:
-        raise ModelError(f"the system has no {', '.join(missing)}; it needs {', '.join(wanted)}")
+    needed = (*(NINE if nine else form or tuple("ABCD")), "dt")
+    if missing := [name for name in needed if name not in data]:
+        raise ModelError(f"the system has no {', '.join(missing)}; it needs {', '.join(needed)}")
     labels = {key: data[key] for key in LABELS if key in data}
     for key, value in labels.items():
         if not isinstance(value, dict if key == "units" else list):
-            raise ModelError(f"{key} is {value!r}; pass {'names and units' if key == 'units' else 'a list of names'}")
+            raise ModelError(
+                f"{key} is {shown(value)}; pass {'names and units' if key == 'units' else 'a list of names'}"
+            )
     loose = ("dt", *(form or ()))
-    matrices: dict[str, Any] = {name: data[name] if name in loose else _matrix(name, data[name]) for name in wanted}
+    matrices: dict[str, Any] = {name: data[name] if name in loose else _matrix(name, data[name]) for name in needed}
     names: dict[str, Any] = {key: tuple(value) for key, value in labels.items() if key != "units"}
     units = dict(labels.get("units", {}))
     try:
@@ -145,7 +146,7 @@ def _limited(data: dict[str, Any], K: StateSpace) -> AntiWindup | None:
         return None
     if missing := [name for name in ("umin", "umax") if not isinstance(data.get(name), list)]:
         raise ModelError(f"the controller has L but no list {', '.join(missing)}; list a limit or null per command")
-    L = as_matrix("L", data["L"], (K.n, K.ny)) if K.n else np.zeros((0, K.ny))
+    L = as_matrix("L", only_numbers("L", data["L"]), (K.n, K.ny)) if K.n else np.zeros((0, K.ny))
     umin, umax = (
         as_limits(name, [free if limit is None else limit for limit in data[name]], K.ny)
         for name, free in (("umin", -np.inf), ("umax", np.inf))
@@ -155,8 +156,10 @@ def _limited(data: dict[str, Any], K: StateSpace) -> AntiWindup | None:
 
 def _matrix(name: str, value: Any) -> Any:
     """A matrix, or what stands for one without rows or columns."""
-    rows = isinstance(value, list | np.ndarray)
-    return value if rows and not any(np.size(row) for row in value) else as_matrix(name, value)
+    if isinstance(value, np.ndarray):
+        return as_matrix(name, value) if value.size else value
+    only_numbers(name, value)
+    return value if isinstance(value, list) and all(row == [] for row in value) else as_matrix(name, value)
 
 
 def save_system(path: str | os.PathLike[str], model: Model | StateSpace | GeneralizedPlant) -> Path:

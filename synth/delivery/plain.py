@@ -13,15 +13,17 @@ import numpy as np
 import scipy.io
 
 from synth.delivery.matlab import matlab_timebase
-from synth.delivery.modelfiles import CONTROLLER, FORMAT_VERSION
+from synth.delivery.modelfiles import CONTROLLER, CONTROLLER_VERSION
 from synth.delivery.origin import origin_of
+from synth.files import sealed_by_parts
 from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.sequential import controller_of
 
 
 def json_bytes(source: Any) -> bytes:
-    """The content of the .json file; limits that are not there are null."""
-    return json.dumps({key: _json(value) for key, value in _document(source).items()}, indent=1).encode()
+    """The content of the .json file, with a sha256 of all of it; limits that are not there are null."""
+    data = {key: _json(value) for key, value in _document(source).items()}
+    return json.dumps(sealed_by_parts(data), indent=1).encode()
 
 
 def mat_bytes(source: Any) -> bytes:
@@ -36,7 +38,7 @@ def mat_bytes(source: Any) -> bytes:
 def _document(source: Any) -> dict[str, Any]:
     """Arrays, numbers and texts."""
     K = controller_of(source)
-    data: dict[str, Any] = {"format": CONTROLLER, "format_version": float(FORMAT_VERSION)}
+    data: dict[str, Any] = {"format": CONTROLLER, "format_version": float(CONTROLLER_VERSION)}
     data |= {"A": K.A, "B": K.B, "C": K.C, "D": K.D, "dt": K.dt}
     if isinstance(source, AntiWindup):
         data |= {"L": source.L, "umin": source.umin, "umax": source.umax}

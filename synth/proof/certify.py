@@ -13,7 +13,6 @@ ball arithmetic and without a solver. The file is taken only as it was written, 
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import time
@@ -23,9 +22,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from synth.checks import as_number, as_path, as_whole, shown
+from synth.checks import as_number, as_path, as_whole, only_numbers, shown
 from synth.errors import ModelError, VerificationError
-from synth.files import write_atomically
+from synth.files import read_json, sealed, write_atomically
 from synth.proof import balls
 from synth.proof.balls import Coupling, Fall, Impulse, LowerWitness, Step, UpperWitness
 from synth.proof.lower import find_lower
@@ -40,6 +39,7 @@ MORE = 4  # times as many where that is not enough
 MAX_BITS = 4096  # accepted from a file
 MOST_DOUBLINGS = 64  # likewise
 NINE = ("A", "B1", "B2", "C1", "D11", "D12", "C2", "D21", "D22", "dt")
+FOUR = ("A", "B", "C", "D", "dt")
 FACTORS = ("before", "after")  # of a step
 TIGHT = 1e-4  # gap from which on no more bits are tried
 MARGINS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # of the upper bound above the verified norm
@@ -154,15 +154,9 @@ def to_dict(certificate: Certificate) -> dict[str, Any]:
     data = asdict(replace(certificate, plant=None, controller=None))
     P, K = certificate.plant, certificate.controller
     data |= {"plant": {name: getattr(P, name) for name in NINE} if P else None}
-    data |= {"controller": {name: getattr(K, name) for name in ("A", "B", "C", "D", "dt")} if K else None}
+    data |= {"controller": {name: getattr(K, name) for name in FOUR} if K else None}
     head = {"format": FORMAT, "format_version": FORMAT_VERSION, "statement": certificate.statement}
-    return _sealed(json.loads(_text({**head, **data})))
-
-
-def _sealed(data: dict[str, Any]) -> dict[str, Any]:
-    """The data with the sha256 of all else in it."""
-    rest = {key: value for key, value in data.items() if key != "sha256"}
-    return {**rest, "sha256": hashlib.sha256(_text(rest).encode()).hexdigest()}
+    return sealed(json.loads(_text({**head, **data})))
 
 
 def _text(data: dict[str, Any]) -> str:
@@ -192,8 +186,8 @@ def from_dict(data: Any) -> Certificate:
             note=str(data["note"]),
             upper_witness=_upper_from_dict(data["upper_witness"]),
             lower_witness=_lower_from_dict(data["lower_witness"]) if data["lower_witness"] else None,
-            plant=None if version == 1 else GeneralizedPlant(**{name: data["plant"][name] for name in NINE}),
-            controller=None if version == 1 else StateSpace(**_controller_data(data["controller"])),
+            plant=None if version == 1 else GeneralizedPlant(**_matrices(data["plant"], NINE)),
+            controller=None if version == 1 else StateSpace(**_matrices(data["controller"], FOUR)),
         )
         bits = certificate.bits
         if not 53 <= bits <= MAX_BITS:
@@ -207,8 +201,8 @@ def from_dict(data: Any) -> Certificate:
     return certificate
 
 
-def _controller_data(data: Any) -> dict[str, Any]:
-    return {name: data[name] for name in ("A", "B", "C", "D", "dt")}
+def _matrices(data: Any, names: tuple[str, ...]) -> dict[str, Any]:
+    return {name: data[name] if name == "dt" else only_numbers(name, data[name]) for name in names}
 
 
 def _upper_from_dict(data: Any) -> UpperWitness:
@@ -259,20 +253,9 @@ def as_doubles(data: Any, key: str, ndim: int = 2, like: np.ndarray | None = Non
 
 def _read(path: Path) -> Any:
     try:
-        return json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_once)
-    except OSError as error:
-        raise ModelError(
-            f"path {path.name!r} cannot be read ({error.strerror}); pass a file of Certificate.save"
-        ) from None
-    except (ValueError, RecursionError) as error:
-        raise ModelError(f"{path.name} is not JSON ({error}); pass what Certificate.save wrote") from None
-
-
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A mapping that says nothing twice."""
-    if len(found := dict(pairs)) != len(pairs):
-        raise ValueError("a key is given twice")
-    return found
+        return read_json(path)
+    except ModelError as error:
+        raise ModelError(f"path {path.name!r}: {error}; pass what Certificate.save wrote") from None
 
 
 def certify(

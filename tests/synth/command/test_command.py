@@ -14,6 +14,7 @@ from synth.__main__ import main
 from synth.command.specification import read_study
 from synth.delivery.formats import export
 from synth.delivery.modelfiles import Model, read, save_system
+from synth.files import sealed_by_parts
 from synth.regulators.antiwindup import AntiWindup
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import hinfsyn
@@ -161,10 +162,11 @@ def test_a_controller_file_keeps_its_limits_and_its_anti_windup(synth, folder, t
     assert code == 2
     assert "an AntiWindup has its own" in err
     damaged = json.loads((tmp_path / "limited.json").read_text()) | {"umin": None}
-    (tmp_path / "damaged.json").write_text(json.dumps(damaged))
-    code, _, err = synth("info", str(tmp_path / "damaged.json"))
-    assert code == 2
-    assert "no list umin" in err
+    for sealing, message in ((dict, "umin was changed"), (sealed_by_parts, "no list umin")):
+        (tmp_path / "damaged.json").write_text(json.dumps(sealing(damaged)))
+        code, _, err = synth("info", str(tmp_path / "damaged.json"))
+        assert code == 2
+        assert message in err
 
 
 @pytest.mark.slow
@@ -244,7 +246,7 @@ def test_exit_codes_of_a_design(synth, tmp_path, change, code, message):
 def damaged(folder: Path, name: str, change) -> str:
     data = json.loads((folder / "cubesat.json").read_text())
     change(data)
-    (folder / name).write_text(json.dumps(data))
+    (folder / name).write_text(json.dumps(sealed_by_parts(data)))  # as by one who knows how
     return name
 
 

@@ -260,7 +260,7 @@ def test_a_damaged_file_is_named(certificate, tmp_path, change, message):
     with pytest.raises(ModelError, match=message):
         Certificate.load(path)
     path.write_text("{")
-    with pytest.raises(ModelError, match="is not JSON"):
+    with pytest.raises(ModelError, match="it is no JSON"):
         Certificate.load(path)
 
 

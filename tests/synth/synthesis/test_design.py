@@ -8,6 +8,7 @@ import scipy.io
 from literature import cubesat_pecorilla2024
 
 from synth.errors import ModelError, VerificationError
+from synth.files import sealed_by_parts
 from synth.synthesis.design import Design, to_dict
 from synth.synthesis.hinfinity import hinfsyn
 
@@ -49,24 +50,69 @@ def test_provenance_is_in_the_file(design, tmp_path):
         (lambda d: d["controller"]["A"][0].pop(), ModelError, "incomplete or damaged"),
         (lambda d: d["controller"]["D"][0].__setitem__(0, -1e3), VerificationError, "unstable"),
         (lambda d: d.update(verified_norm=1e-6), VerificationError, "the file claims a norm"),
-        (lambda d: d.update(verified_norm=float("nan")), ModelError, "verified_norm nan"),
-        (lambda d: d.update(gamma=float("inf")), ModelError, "gamma is inf"),
+        (lambda d: d.update(verified_norm=float("nan")), ModelError, "it holds NaN"),
+        (lambda d: d.update(gamma=float("inf")), ModelError, "it holds Infinity"),
+        (lambda d: d.update(gamma=True), ModelError, "gamma is True"),
+        (lambda d: d.update(gamma="0.5"), ModelError, "gamma is '0.5'"),
+        (lambda d: d.update(gamma=-5.0), VerificationError, "the file claims a norm of -5"),
+        (lambda d: d["info"].update(spectral_radius=0.0), VerificationError, r"info\.spectral_radius is 0, measured"),
+        (lambda d: d["info"].update(optimum=-1.0), ModelError, r"info\.optimum is -1\.0"),
+        (lambda d: d["info"].update(frequency="fast"), ModelError, r"info\.frequency is 'fast'"),
+        (lambda d: d["controller"].update(A="x"), ModelError, r"controller\.A is 'x'"),
+        (lambda d: d["controller"]["A"][0].__setitem__(0, True), ModelError, r"controller\.A\[0\]\[0\] is True"),
         (lambda d: d["info"].pop("method"), ModelError, "incomplete or damaged"),
     ],
 )
 def test_a_file_that_was_changed_is_refused(design, tmp_path, change, error, message):
+    """Also where the seal was renewed; where it was not, it is a ModelError in any case."""
     data = json.loads(json.dumps(to_dict(design)))
     change(data)
     path = tmp_path / "changed.json"
-    path.write_text(json.dumps(data))
+    path.write_text(json.dumps(sealed_by_parts(data)))
     with pytest.raises(error, match=message):
+        Design.load(path)
+    path.write_text(json.dumps(data))
+    with pytest.raises(ModelError):
+        Design.load(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (lambda d: d["controller"]["B"][1].__setitem__(0, 1.01 * d["controller"]["B"][1][0]), r"controller\.B"),
+        (lambda d: d["plant"]["D22"][0].__setitem__(0, 1e-16), r"plant\.D22"),
+        (lambda d: d["plant"].update(y=d["plant"]["y"][::-1]), r"plant\.y"),
+        (lambda d: d["info"].update(date="1969-07-20"), r"info\.date"),
+        (lambda d: d.update(gamma=1.0, verified_norm=1.0), "gamma, verified_norm"),
+        (lambda d: d.pop("convention"), "convention"),
+        (lambda d: d.update(remark="sound"), "remark"),
+        (lambda d: d.update(sha256="0"), "sha256 itself"),
+        (lambda d: d.pop("sha256"), "sha256 itself"),
+        (lambda d: d.pop("parts_sha256"), "something in it"),
+    ],
+)
+def test_the_changed_field_is_named(design, tmp_path, change, named):
+    data = json.loads(json.dumps(to_dict(design)))
+    change(data)
+    (tmp_path / "changed.json").write_text(json.dumps(data))
+    with pytest.raises(ModelError, match=rf"^{named}.* was changed after the file was written"):
+        Design.load(tmp_path / "changed.json")
+
+
+def test_files_without_a_seal_are_read_with_a_remark(design, tmp_path):
+    data = {key: value for key, value in to_dict(design).items() if key not in ("sha256", "parts_sha256")}
+    path = tmp_path / "old.json"
+    path.write_text(json.dumps(data | {"format_version": 2}))
+    assert "format version 2, which has no sha256" in Design.load(path).warnings[0]
+    path.write_text(json.dumps(to_dict(design) | {"format_version": 2}))
+    with pytest.raises(ModelError, match="parts_sha256, sha256, which no design of format version 2 has"):
         Design.load(path)
 
 
 def test_not_json_and_unknown_endings(design, tmp_path):
     path = tmp_path / "x.json"
     path.write_text("{")
-    with pytest.raises(ModelError, match="is not JSON"):
+    with pytest.raises(ModelError, match="it is no JSON"):
         Design.load(path)
     with pytest.raises(ModelError, match=r"path ends with '\.txt'"):
         design.save(tmp_path / "x.txt")

@@ -11,6 +11,7 @@ from scipy.signal import tf2ss
 from synth.analysis.coprime import gang_of_four, ncfmargin, solutions
 from synth.analysis.norms import hinfnorm, is_stable
 from synth.errors import AssumptionError, InfeasibleError, ModelError, VerificationError
+from synth.files import sealed_by_parts
 from synth.lmi import coprime as program
 from synth.synthesis.design import Design, to_dict
 from synth.synthesis.hinfinity import hinfsyn
@@ -233,7 +234,7 @@ def test_weights_end_up_in_the_controller_and_in_the_file(tmp_path):
 def test_a_file_with_another_weight_is_refused(tmp_path):
     data = to_dict(ncfsyn(*skogestad_9_3()))
     data["shaping"]["W1"]["D"] = [[2.0]]
-    (tmp_path / "x.json").write_text(json.dumps(data))
+    (tmp_path / "x.json").write_text(json.dumps(sealed_by_parts(data)))
     with pytest.raises(ModelError, match="W1 Ks W2"):
         Design.load(tmp_path / "x.json")
 

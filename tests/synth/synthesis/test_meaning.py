@@ -138,16 +138,20 @@ def test_a_pole_that_only_rounding_placed_is_told():
     assert healthy.info.warnings == ()
 
 
+def unsealed(design):
+    return {key: value for key, value in to_dict(design).items() if key not in ("sha256", "parts_sha256")}
+
+
 def test_files_of_version_1_are_read(tmp_path):
     design = hinfsyn(cubesat_pecorilla2024(), method="lmi")
-    data = to_dict(design)
+    data = unsealed(design)
     info = {key: value for key, value in data["info"].items() if key not in ("optimum", "slowest", "warnings")}
     data |= {"format_version": 1, "gamma": design.info.optimum, "info": info | {"gamma_min": None}}
     (tmp_path / "old.json").write_text(json.dumps(data))
     again = Design.load(tmp_path / "old.json")
     assert (again.gamma, again.info.optimum) == (design.gamma, design.info.optimum)
     shaped = ncfsyn(DOUBLE)
-    data = to_dict(shaped)
+    data = unsealed(shaped)
     info = {key: value for key, value in data["info"].items() if key not in ("optimum", "slowest", "warnings")}
     data |= {"format_version": 1, "gamma": shaped.info.level, "info": info | {"gamma_min": shaped.info.optimum}}
     (tmp_path / "old.json").write_text(json.dumps(data))
