@@ -15,9 +15,11 @@ exit codes:
   1    a controller fails its verification, a proof does not hold, or a requirement is missed
   2    bad input: options, files, models, or a controller that cannot leave in this form
   3    no controller exists: an assumption fails, or the level asked for cannot be reached
-  4    no route to a solution worked (numerical trouble)
+  4    no route to a solution worked (numerical trouble, or not enough memory)
+  70   a bug of synth: an error that nobody foresaw; --debug shows where it arose
   130  interrupted
 """
+BUG = 70  # as sysexits.h has it
 
 
 class Parser(argparse.ArgumentParser):
@@ -25,7 +27,9 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str):
         """Say what is wrong and where help is."""
-        self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
+        from synth.checks import printable
+
+        self.exit(2, printable(f"{self.prog}: {message} (see {self.prog} --help)\n"))
 
 
 class Version(argparse.Action):
@@ -139,6 +143,23 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of a pipe has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except SystemExit:
+        raise
+    except BaseException as error:  # also a panic of a library that is not written in Python
+        return bug(options, error)
+
+
+def bug(options: argparse.Namespace, error: BaseException) -> int:
+    """Say that the error is none of the user's, and what to do about it."""
+    import traceback
+
+    from synth.checks import printable
+
+    if options.debug:
+        print(printable("".join(traceback.format_exception(error))), end="", file=sys.stderr)
+    told = printable(" ".join(f"{type(error).__name__}: {error}".split()))
+    print(f"synth {options.command}: a bug of synth ({told}); please report it with what --debug says", file=sys.stderr)
+    return BUG
 
 
 if __name__ == "__main__":

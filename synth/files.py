@@ -72,7 +72,7 @@ def read_bytes(path: Path, largest: int = LARGEST) -> bytes:
         raise ModelError(f"its name is none ({error}); pass the path of a file") from None
 
 
-def parsed(path: Path, parse: Callable[[str], Any], kind: str, *, finite: bool = False) -> Any:
+def parsed(path: Path, parse: Callable[[str], Any], kind: str, *, finite: bool = False, largest: int = LARGEST) -> Any:
     """What `parse` finds in a text file, as plain data that `check_plain` has seen.
 
     Raises
@@ -80,7 +80,7 @@ def parsed(path: Path, parse: Callable[[str], Any], kind: str, *, finite: bool =
     ModelError : as `read_bytes` and `check_plain`, or the file is no UTF-8 text, or `parse` cannot make sense of it.
     """
     try:
-        data = parse(read_bytes(path).decode())
+        data = parse(read_bytes(path, largest).decode())
     except ModelError:
         raise
     except RecursionError:

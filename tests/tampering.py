@@ -1,10 +1,25 @@
-"""One random change of what a file holds."""
+"""One random change of what a file holds, or of its bytes."""
 
 import json
 
 import numpy as np
 
 NUMBERS = (0.0, -1.0, 1e-300, 1e300, 0.5, 2, -0.0, 53, 4096, True, None, "1", [], {}, [[1.0]])
+WRONG = (
+    "true",
+    "null",
+    '"x"',
+    "{}",
+    "[]",
+    "[[]]",
+    "[[[1]]]",
+    "-1",
+    "1e300",
+    "1e-320",
+    "[[1],[2,3]]",
+    '"\\u001b[2J"',
+    "7.5",
+)
 
 
 def places(data, path=()):
@@ -39,3 +54,18 @@ def tampered(data, rng):
     else:
         holder[key] = NUMBERS[int(rng.integers(len(NUMBERS)))]
     return data
+
+
+def mutated(text: bytes, rng: np.random.Generator) -> bytes:
+    """One change of the bytes: a flip, a cut, a piece doubled or a number become something else."""
+    at, kind = int(rng.integers(len(text))), rng.integers(5)
+    if kind == 0:
+        return text[:at] + bytes([rng.integers(256)]) + text[at + 1 :]
+    if kind == 1:
+        return text[:at] + text[at + int(rng.integers(1, 40)) :]
+    if kind == 2:
+        return text[: at + 20] + text[at:]
+    value = WRONG[int(rng.integers(len(WRONG)))].encode()
+    ends = [i for i in (text.find(c, at + 1) for c in (b",", b"]", b"}", b"\n")) if i > 0]
+    start = max(text.rfind(c, 0, at) for c in (b",", b"[", b":", b"=")) + 1
+    return text[:start] + b" " + value + text[min(ends, default=len(text)) :]

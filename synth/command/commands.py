@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from synth.command.terminal import say
 from synth.delivery.modelfiles import Model, read
 from synth.errors import (
     AssumptionError,
@@ -48,13 +49,16 @@ def run(options: argparse.Namespace) -> int:
         return commands[options.command](options)
     except BrokenPipeError:
         raise
+    except MemoryError:
+        say(f"synth {options.command}: there is not enough memory for this", sys.stderr)
+        return NUMERICAL
     except (SynthError, OSError) as error:
         if options.debug:
-            traceback.print_exc()
+            say(traceback.format_exc().rstrip(), sys.stderr)
         where = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) else str(error)
         for argument, option in OPTIONS.items():
             where = where.replace(argument, option)
-        print(f"synth {options.command}: {where}", file=sys.stderr)
+        say(f"synth {options.command}: {where}", sys.stderr)
         return next((code for kind, code in CODES.items() if isinstance(error, kind)), BAD_INPUT)
 
 
@@ -106,13 +110,14 @@ def info(options: argparse.Namespace) -> int:
         print_json(found)
         return DONE
     for i, item in enumerate(found):
-        print(("\n" if i else "") + item.pop("file"))
+        say(("\n" if i else "") + item.pop("file"))
         for key, value in item.items():
             if isinstance(value, dict):
                 value = ", ".join(f"{k} {v}" for k, v in value.items())
             elif isinstance(value, list):
                 value = ", ".join(map(str, value)) or "none"
-            print(f"  {key.replace('_', ' '):18} {value if not isinstance(value, float) else format(value, '.9g')}")
+            told = format(value, ".9g") if isinstance(value, float) else str(value).replace("\n", "\\n")
+            say(f"  {key.replace('_', ' '):18} {told}")
     return DONE
 
 
@@ -123,7 +128,8 @@ def facts(item: Design | GeneralizedPlant | Model) -> dict[str, Any]:
         signals: dict[str, Any] = {key: labels(getattr(item, key), item.units) for key in ("u", "y")}
         if item.limited:
             signals |= {"umin": item.limited.umin.tolist(), "umax": item.limited.umax.tolist()}
-        return {"kind": "system", "order": G.n, **timebase(G.dt), **signals, "sha256": G.digest()}
+        told = {"warnings": list(item.warnings)} if item.warnings else {}
+        return {"kind": "system", "order": G.n, **timebase(G.dt), **signals, "sha256": G.digest(), **told}
     if isinstance(item, GeneralizedPlant):
         signals = {key: labels(getattr(item, key), item.units) for key in "wuzy"}
         sha256 = item.system.digest()
@@ -173,7 +179,7 @@ def verify(options: argparse.Namespace) -> int:
 
     if any(map(certificates.is_certificate, options.files)):
         data, text = certificates.verify(options, load)
-        print_json(data) if options.json else print(text)
+        print_json(data) if options.json else say(text)
         return DONE
     if options.design is not None:
         raise ModelError("--design is about certificates; none is given")
@@ -203,7 +209,7 @@ def verify(options: argparse.Namespace) -> int:
     if options.json:
         print_json([{"file": file, **acceptance_data(a)} for file, a in found.items()])
     else:
-        print("\n\n".join(f"{file}\n{acceptance_text(a)}" for file, a in found.items()))
+        say("\n\n".join(f"{file}\n{acceptance_text(a)}" for file, a in found.items()))
     return DONE if all(a.passed for a in found.values()) else MISSED
 
 
@@ -212,7 +218,7 @@ def certify(options: argparse.Namespace) -> int:
     from synth.command import certificates
 
     data, text = certificates.certify(options, load)
-    print_json(data) if options.json else print(text)
+    print_json(data) if options.json else say(text)
     return DONE
 
 
@@ -315,9 +321,9 @@ def export(options: argparse.Namespace) -> int:
         gate = {} if found is None else {"acceptance": acceptance_data(found)}
         print_json({"files": [str(path) for path in written], **gate})
     else:
-        print("\n".join(map(str, written)))
+        say("\n".join(map(str, written)))
         if found is not None:
-            print(acceptance_text(found))
+            say(acceptance_text(found))
     return DONE if found is None or found.passed else MISSED
 
 
@@ -339,7 +345,7 @@ def compare(options: argparse.Namespace) -> int:
     rows = [["", *(Path(file).name for file in found)]]
     for key, (text, _) in comparison.MEASURES.items():
         rows.append([text, *(number(row[key]) for row in found.values())])
-    print(table(rows))
+    say(table(rows))
     return DONE
 
 
@@ -364,10 +370,10 @@ def design(options: argparse.Namespace) -> int:
         gate = acceptance_data(accepted) if accepted else None
         print_json({"file": str(target), "missed": missed, **facts(found), "acceptance": gate})
     else:
-        print(found)
+        say(found)
         if accepted:
-            print(acceptance_text(accepted))
-        print(f"saved as {target}")
+            say(acceptance_text(accepted))
+        say(f"saved as {target}")
     for text in missed:
-        print(f"synth design: missed: {text}", file=sys.stderr)
+        say(f"synth design: missed: {text}", sys.stderr)
     return MISSED if missed else DONE

@@ -20,6 +20,7 @@ all mistakes are told at once, each with its path.
 from __future__ import annotations
 
 import os
+import re
 import tomllib
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -33,6 +34,7 @@ from synth.command.tables import Table
 from synth.delivery.acceptance import Acceptance, Requirements, accept, sampled
 from synth.delivery.modelfiles import FRACTIONS, NINE, Model, read
 from synth.errors import ModelError, SpecificationError, SynthError
+from synth.files import DEEPEST, parsed
 from synth.regulators.antiwindup import AntiWindup
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import METHODS, hinfsyn
@@ -44,6 +46,7 @@ from synth.systems.generalized import GeneralizedPlant
 from synth.systems.sampled import c2d
 from synth.systems.statespace import StateSpace, as_system
 
+LARGEST = 8 * 2**20  # bytes of a study; plants of order 200 and more belong into a file of their own
 SYSTEM = {*"ABCD", "num", "den", "zeros", "poles", "gain"}  # keys of a weight that is a system
 PROBLEMS = ("tracking", "generalized", "loopshaping", "mixedsensitivity")
 TRACKING = {"Wproc": "u", "Wdist": "y", "Werr": "y", "Wact": "u", "Wr": "y"}  # weight -> signals of the plant
@@ -97,16 +100,22 @@ def read_study(path: str | os.PathLike[str]) -> Study:
     """
     path = as_path("path", path)
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SpecificationError(path.name, [f"the file cannot be read ({error.strerror})"]) from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise SpecificationError(path.name, [f"this is no TOML ({error})"]) from None
+        data = parsed(path, _toml, "TOML", largest=LARGEST)
+    except ModelError as error:
+        raise SpecificationError(path.name, [f"the file cannot be read: {error}"]) from None
     problems: list[str] = []
     study = _study(Table(data, "", problems), path.parent)
     if problems or study is None:
         raise SpecificationError(path.name, problems)
     return study
+
+
+def _toml(text: str) -> dict[str, Any]:
+    """The tables; keys of very many parts are refused before, because `tomllib` takes the square of their number."""
+    parts = (part for part in re.split(r"[=,{}\[\]\n]", text) if not part.lstrip().startswith("#"))
+    if any(len(re.findall(r"\.\s*[\w\"'-]", part)) > DEEPEST for part in parts):
+        raise ModelError(f"it is nested deeper than {DEEPEST} levels, by a key with so many parts")
+    return tomllib.loads(text)
 
 
 def _study(root: Table, folder: Path) -> Study | None:

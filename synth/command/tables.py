@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from synth.checks import shown
+
 
 class Table:
     """One table; its functions read a key and note what is wrong with it, `close` notes keys that nobody read."""
@@ -47,7 +49,7 @@ class Table:
         if not isinstance(value, str):
             self.wrong(key, f"expected text, found {_kind(value)}")
         elif choices and value not in choices:
-            self.wrong(key, f"{value!r} is not one of {', '.join(choices)}{_hint(value, choices)}")
+            self.wrong(key, f"{shown(value)} is not one of {', '.join(choices)}{_hint(value, choices)}")
         else:
             return value
         return default
@@ -119,7 +121,7 @@ class Table:
             M = np.diag(np.atleast_1d(np.asarray(diagonal, float)))
         elif _is_number(value) and (shape[0] == shape[1] or None in shape):
             size = next((s for s in shape if s is not None), 1)
-            M = float(value) * np.eye(size)
+            M = np.diag(np.full(size, float(value)))
         else:
             M = self._rows(key, value)
         if M is None:
@@ -161,7 +163,7 @@ def _is_number(value: Any) -> bool:
 def _kind(value: Any) -> str:
     kinds = {bool: "true or false", str: "text", list: "a list", dict: "a table", int: "a number", float: "a number"}
     name = kinds.get(type(value), type(value).__name__)
-    return f"{name} ({value!r})" if isinstance(value, str | bool | int | float) else name
+    return f"{name} ({shown(value)})" if isinstance(value, str | bool | int | float) else name
 
 
 def _shape(shape: Iterable[int | None]) -> str:

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from synth.checks import as_limits, as_matrix, as_path, only_numbers, shown
+from synth.delivery.matfiles import read_mat
 from synth.errors import ModelError
 from synth.files import SEAL, check_seal, read_json, write_atomically
 from synth.regulators.antiwindup import AntiWindup
@@ -136,6 +137,8 @@ def as_model(data: dict[str, Any]) -> GeneralizedPlant | Model:
         if "delay" in data:
             system = input_delay(system, data["delay"])
         return Model(system, names.get("u", ()), names.get("y", ()), units, _limited(data, system))
+    except MemoryError:
+        raise ModelError("the system has more states than there is memory for") from None
     except (TypeError, ValueError) as error:
         raise error if isinstance(error, ModelError) else ModelError(f"the system is damaged: {error}") from None
 
@@ -185,18 +188,13 @@ def save_system(path: str | os.PathLike[str], model: Model | StateSpace | Genera
 
 def _from_mat(path: Path) -> GeneralizedPlant | Model:
     """The variables A, B, C, D (or A, B1, ..., D22) and dt of a .mat file."""
-    import scipy.io
-
-    try:
-        data = scipy.io.loadmat(path)
-    except Exception as error:  # SciPy raises what it meets in a damaged file
-        raise ModelError(f"it is no .mat file of version 7 or older ({error})") from None
-    found = {name: value for name, value in data.items() if name in (*NINE, *"BCD", "dt")}
+    data = read_mat(path, (*NINE, *"BCD", "dt", "design"))
+    found: dict[str, Any] = {name: value for name, value in data.items() if name != "design"}
     if "design" in data:
         raise ModelError("it is a design for MATLAB; pass the .json file of the design, which holds all of it")
     for name, value in found.items():
-        if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu":
-            raise ModelError(f"{name} is no real matrix; save numbers (full(A) for a sparse A)")
+        if value.dtype.kind not in "fiu":
+            raise ModelError(f"{name} is no real matrix but {value}; save numbers (full(A) for a sparse A)")
     if "dt" in found:
         if found["dt"].size != 1:
             raise ModelError(f"dt has {found['dt'].size} entries; save one number")

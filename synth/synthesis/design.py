@@ -166,7 +166,8 @@ class Design:
 
     def _repr_html_(self) -> str:
         """For notebooks."""
-        rows = "".join(f"<tr><th>{html.escape(k)}</th><td>{html.escape(v)}</td></tr>" for k, v in self.facts.items())
+        facts = {html.escape(key): html.escape(printable(value)) for key, value in self.facts.items()}
+        rows = "".join(f"<tr><th>{key}</th><td>{value}</td></tr>" for key, value in facts.items())
         return f"<table>{rows}</table>"
 
     def plot(self, ax: Any = None, **style: Any) -> Any:

@@ -16,6 +16,8 @@ from synth.errors import ModelError
 from synth.systems.realization import loop_solve
 from synth.systems.statespace import StateSpace, as_systems
 
+LONGEST = 5000  # samples of delay in all, each a state
+
 
 def series(G: Any, H: Any) -> StateSpace:
     """H after G: y = H G u.
@@ -57,6 +59,10 @@ def input_delay(G: StateSpace, delay: Any) -> StateSpace:
     whole = np.round(samples)
     if not np.allclose(samples, whole, rtol=0, atol=1e-6):
         raise ModelError(f"delay is {late.tolist()} s, {samples.tolist()} samples of {G.dt:g} s; pass whole samples")
+    if whole.sum() > LONGEST:
+        raise ModelError(
+            f"delay is {late.tolist()} s, {whole.sum():.6g} samples in all; at most {LONGEST} can be states"
+        )
     chains = [np.eye(int(k), k=-1) for k in whole]
     n, ends = sum(map(len, chains)), np.cumsum([len(chain) for chain in chains])
     A = np.zeros((n, n))

@@ -226,7 +226,7 @@ def test_files_that_are_none(tmp_path):
         read_study(tmp_path / "no.toml")
     with pytest.raises(SpecificationError, match="cannot be read"):
         read_study(tmp_path)
-    assert "this is no TOML" in problems_of("[plant", tmp_path)[0]
+    assert "it is no TOML" in problems_of("[plant", tmp_path)[0]
     assert problems_of("", tmp_path)[0] == "plant: missing"
 
 

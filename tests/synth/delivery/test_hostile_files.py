@@ -1,13 +1,17 @@
 """Files that were damaged, forged or never were files: a typed error that says so, and nothing forged is taken."""
 
+import io
 import json
 import os
+import subprocess
 
 import numpy as np
 import pytest
+import scipy.io
 from literature import cubesat_pecorilla2024
-from tampering import tampered
+from tampering import mutated, tampered
 
+from synth.delivery import matfiles
 from synth.delivery.formats import export
 from synth.delivery.modelfiles import read, save_system
 from synth.errors import ModelError, SynthError
@@ -136,38 +140,6 @@ def test_devices_and_pipes_are_not_read(tmp_path, reader):
             reader(path)
 
 
-WRONG = (
-    "true",
-    "null",
-    '"x"',
-    "{}",
-    "[]",
-    "[[]]",
-    "[[[1]]]",
-    "-1",
-    "1e300",
-    "1e-320",
-    "[[1],[2,3]]",
-    '"\\u001b[2J"',
-    "7.5",
-)
-
-
-def mutated(text: bytes, rng: np.random.Generator) -> bytes:
-    """One change of the bytes: a flip, a cut, a piece doubled or a number become something else."""
-    at, kind = int(rng.integers(len(text))), rng.integers(5)
-    if kind == 0:
-        return text[:at] + bytes([rng.integers(256)]) + text[at + 1 :]
-    if kind == 1:
-        return text[:at] + text[at + int(rng.integers(1, 40)) :]
-    if kind == 2:
-        return text[: at + 20] + text[at:]
-    value = WRONG[int(rng.integers(len(WRONG)))].encode()
-    ends = [i for i in (text.find(c, at + 1) for c in (b",", b"]", b"}", b"\n")) if i > 0]
-    start = max(text.rfind(c, 0, at) for c in (b",", b"[", b":", b"=")) + 1
-    return text[:start] + b" " + value + text[min(ends, default=len(text)) :]
-
-
 def resealed(content: bytes) -> bytes:
     """With a seal that fits, so that what comes after it is tried."""
     try:
@@ -178,7 +150,7 @@ def resealed(content: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("name", ["design", "shaped", "controller", "limited", "plant"])
-@pytest.mark.parametrize("count", [60, pytest.param(1500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [10, pytest.param(1500, marks=pytest.mark.slow)])
 def test_damaged_json_never_ends_bare(folder, tmp_path, name, count):
     """What is read is printed too, as `synth info` does."""
     text, rng, path = (folder / f"{name}.json").read_bytes(), np.random.default_rng(count), tmp_path / "x.json"
@@ -197,3 +169,82 @@ def test_damaged_json_never_ends_bare(folder, tmp_path, name, count):
 def test_json_of_the_largest_size_is_refused_by_its_depth_or_read(tmp_path):
     (tmp_path / "x.json").write_bytes(b"[" + b"0," * 500_000 + b"0]")
     assert len(read_json(tmp_path / "x.json")) == 500_001
+
+
+def mat(**changed) -> bytes:
+    """A double integrator as a .mat file."""
+    system = {"A": [[1, 0.5], [0, 1.0]], "B": [[0.0], [1]], "C": np.eye(2), "D": [[0.0], [0]], "dt": 0.5} | changed
+    scipy.io.savemat(content := io.BytesIO(), system)
+    return content.getvalue()
+
+
+def test_a_mat_file_that_kills_scipy_does_not_kill_us(tmp_path):
+    """Byte 425 from 0 of these 512 ends the interpreter inside SciPy 1.17.1: a segmentation fault."""
+    content = bytearray(mat())
+    (tmp_path / "x.mat").write_bytes(content)
+    assert read(tmp_path / "x.mat").system.C.tolist() == [[1.0, 0.0], [0.0, 1.0]]
+    content[425] = 0x5C
+    (tmp_path / "x.mat").write_bytes(content)
+    with pytest.raises(ModelError, match=r"no \.mat file of version 7 or older"):
+        read(tmp_path / "x.mat")
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"A": [[1j, 0], [0, 1]]}, "A is no real matrix but complex"),
+        ({"A": "text"}, "A is no real matrix but text"),
+        ({"A": np.array([[1, "x"]], dtype=object)}, "A is no real matrix but a cell"),
+        ({"dt": [0.5, 0.5]}, "dt has 2 entries"),
+        ({"dt": {"a": 1}}, "dt is no real matrix but"),
+        ({"A": np.full((2, 2), np.nan)}, "every entry must be finite"),
+        ({"design": 1.0}, "it is a design for MATLAB"),
+    ],
+)
+def test_what_is_wrong_in_a_mat_file_is_named(tmp_path, changed, message):
+    (tmp_path / "x.mat").write_bytes(mat(**changed))
+    with pytest.raises(ModelError, match=message):
+        read(tmp_path / "x.mat")
+
+
+def test_a_reader_of_mat_files_that_hangs_dies_or_talks_nonsense(tmp_path, monkeypatch):
+    (tmp_path / "x.mat").write_bytes(mat())
+
+    def child(text: str) -> None:
+        (tmp_path / "child.py").write_text(text)
+        monkeypatch.setattr(matfiles, "CHILD", tmp_path / "child.py")
+
+    monkeypatch.setattr(matfiles, "PATIENCE", 0.5)
+    child("while True: pass")
+    with pytest.raises(ModelError, match=r"it was not read in 0\.5 s"):
+        read(tmp_path / "x.mat")
+    monkeypatch.undo()
+    for text, message in (
+        ("import os; os.abort()", "ended the process"),
+        ("print('nonsense')", "it is a damaged .mat file"),
+        ("raise OSError('no room')", "no room"),
+    ):
+        child(text)
+        with pytest.raises(ModelError, match=message):
+            read(tmp_path / "x.mat")
+
+    def nothing(*_, **__):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(subprocess, "run", nothing)
+    with pytest.raises(ModelError, match=r"no process to read a \.mat file could be started"):
+        read(tmp_path / "x.mat")
+
+
+@pytest.mark.parametrize("count", [2, pytest.param(150, marks=pytest.mark.slow)])
+def test_damaged_mat_files_never_end_bare(tmp_path, count):
+    rng, content = np.random.default_rng(count), mat()
+    for _ in range(count):
+        changed = bytearray(content)
+        for at in rng.integers(116, len(content), size=int(rng.integers(1, 3))):
+            changed[at] = rng.integers(256)
+        (tmp_path / "x.mat").write_bytes(changed)
+        try:
+            read(tmp_path / "x.mat")
+        except SynthError:
+            pass
