@@ -114,26 +114,13 @@ class Reference:
         near : (N,) variables whose active rows are tried first; whatever they are, the optimum is the same
         """
         with ctx.workprec(self.bits):
+            if near is not None and self._is_optimal_on(near):
+                return self._command()
             inverse = self.P.inv()
             CP = self.C * inverse
             rows, columns = self.C.tolist(), CP.tolist()
             free = inverse * self.f * arb(-1)
             w, W, y = free, [], arb_mat(0, 1)
-            if near is not None:
-                distance = (self.C * balls(near).transpose() - self.b).entries()
-                W = [i for i, e in enumerate(distance) if abs(float(e)) < 1e-9]
-            while W:
-                active = arb_mat([columns[i] for i in W]).transpose()
-                C = arb_mat([rows[i] for i in W])
-                try:
-                    y = (C * active).solve(C * free - arb_mat(len(W), 1, [self.b[i, 0] for i in W])).mid()
-                except ZeroDivisionError:  # rows that depend on each other: from the beginning
-                    y = arb_mat(len(W), 1)
-                kept = [i for i, e in zip(W, y.entries(), strict=True) if e > 0]
-                if kept == W:
-                    w = (free - active * y).mid()
-                    break
-                W, y = kept, arb_mat(0, 1)
             while True:
                 excess = [float(e.mid()) for e in (self.C * w - self.b).entries()]
                 entering = int(np.argmax([0 if i in W else e for i, e in enumerate(excess)]))
@@ -160,8 +147,38 @@ class Reference:
                         kept = [k for k in range(len(W) - 1) if k != leaving]
                         y, W = arb_mat(len(kept), 1, [y[k, 0] for k in kept]), [W[k] for k in kept]
             self._check(w, W, y)
-            self.active = W
-            return np.array([float(w[i, 0].mid()) for i in range(self.m)]) * self.unit
+            self.active, self.w = W, w
+            return self._command()
+
+    def _command(self):
+        return np.array([float(self.w[i, 0].mid()) for i in range(self.m)]) * self.unit
+
+    def _is_optimal_on(self, near):
+        """Whether the rows that are active at `near`, less those with negative multipliers, are the optimum's."""
+        distance = (self.C * balls(near).transpose() - self.b).entries()
+        N, rows = self.P.nrows(), self.C.tolist()
+        sizes = np.abs([[float(e) for e in row] for row in rows]) @ np.abs(near)
+        W = [i for i, e in enumerate(distance) if abs(float(e)) < 1e-9 + 1e-13 * sizes[i]]
+        while True:
+            zeros = [arb(0)] * len(W)
+            columns = arb_mat([rows[i] for i in W]).transpose().tolist() if W else [[]] * N
+            system = [row + column for row, column in zip(self.P.tolist(), columns, strict=True)]
+            system += [rows[i] + zeros for i in W]
+            right = [-e for e in self.f.entries()] + [self.b[i, 0] for i in W]
+            try:
+                found = arb_mat(system).solve(arb_mat(len(right), 1, right)).mid().entries()
+            except ZeroDivisionError:  # rows that depend on each other
+                return False
+            kept = [i for i, e in zip(W, found[N:], strict=True) if e > 0]
+            if kept == W:
+                break
+            W = kept
+        w, y = arb_mat(N, 1, found[:N]), arb_mat(len(W), 1, found[N:])
+        if max(float(e.mid()) for e in (self.C * w - self.b).entries()) > TINY:
+            return False
+        self._check(w, W, y)
+        self.active, self.w = W, w
+        return True
 
     def _check(self, w, W, y):
         """Stationary, feasible, complementary, multipliers that are not negative: each to 1e-30 of its terms."""

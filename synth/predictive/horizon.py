@@ -196,7 +196,7 @@ class Mpc:
         -----
         What leaves is within 1e-8 of the optimum, in units of the larger limit: the residuals of the optimality
         conditions prove it of DAQP's and Clarabel's answers (`Optimality`); the last resort, long arithmetic, may take
-        minutes. `fallbacks` counts the steps that DAQP did not answer, or not well enough.
+        seconds. `fallbacks` counts the steps that DAQP did not answer, or not well enough.
         """
         p, model = self.problem, self.problem.model
         phi = self.parameters(state, y, r)

@@ -26,7 +26,7 @@ STIFF = 1e6  # a penalty beyond this times the weight of a command drowns the re
 
 @dataclass(frozen=True, eq=False)
 class LongArithmetic:
-    """The optimum at any parameters, whatever doubles make of it: seconds to minutes over long horizons."""
+    """The optimum at any parameters, whatever doubles make of it: seconds at the most, else it is reported."""
 
     problem: MpcProblem
     commands: bool  # the program's variables are the commands, else those of `prestabilise`

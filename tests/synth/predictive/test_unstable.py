@@ -46,7 +46,9 @@ def random_step(seed, **sizes):
 
 def exact(controller, state, x, r):
     p, phi = controller.problem, controller.parameters(state, x, r)
-    near = LongArithmetic(p, commands=True)(phi) if p.Nc * p.model.nu > 40 else None  # an hour faster, proved as well
+    near = None
+    if p.Nc * p.model.nu > 10:  # far faster, and proved as well
+        near = LongArithmetic(p, commands=True)(phi, controller.qp.likely(phi))
     return Reference(p, phi).solve(near)
 
 
@@ -66,7 +68,7 @@ def test_reported_commands_are_exact(case):
 
 
 @pytest.mark.parametrize("form", ["position", "velocity"])
-@pytest.mark.parametrize("Nc", [1, 7, *(pytest.param(N, marks=pytest.mark.slow) for N in (50, 100))])
+@pytest.mark.parametrize("Nc", [7, *(pytest.param(N, marks=pytest.mark.slow) for N in (1, 50, 100))])
 def test_cvxpy_580_over_100_samples(form, Nc):
     controller, x = reported("cvxpy580 Np=50", Np=100, Nc=Nc, form=form)
     state = controller.init()
@@ -122,6 +124,7 @@ def test_the_prestabilised_program_is_the_one_that_is_posed(seed):
     np.testing.assert_allclose(long[N:], a[N:], rtol=1e-7, atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [case["name"] for case in REPORTS])
 def test_the_condition_of_the_program_does_not_grow_with_the_horizon(name):
     conditions = [np.linalg.cond(reported(name, Np=N, Nc=N)[0].qp.P) for N in (40, 70, 100)]
@@ -129,7 +132,7 @@ def test_the_condition_of_the_program_does_not_grow_with_the_horizon(name):
     np.testing.assert_allclose(conditions, conditions[0], rtol=1e-2)
 
 
-@pytest.mark.parametrize("Np", [5, 30, 100])
+@pytest.mark.parametrize("Np", [5, 30, pytest.param(100, marks=pytest.mark.slow)])
 def test_far_from_its_limits_it_is_the_regulator(Np):
     """With the Riccati solution as terminal weight over any horizon; over a long one with any."""
     case = REPORTS[0]
@@ -155,6 +158,7 @@ def test_a_loop_that_a_short_horizon_holds_is_held_by_a_long_one(name, form):
         assert state.fallbacks == 0
 
 
+@pytest.mark.slow
 def test_units_and_coordinates_of_the_state_do_not_matter():
     case, rng = REPORTS[0], np.random.default_rng(1)
     A, B, x = np.array(case["A"]), np.array(case["B"]), np.array(case["x0"])
