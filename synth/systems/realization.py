@@ -173,9 +173,11 @@ def state_scales(G: Matrices) -> np.ndarray:
     rate = np.abs(np.linalg.eigvals(A)).max() or 1.0
     M = np.zeros((n + 1, n + 1))
     M[:-1, :-1] = np.abs(A)
-    M[:-1, -1] = np.linalg.norm(B, axis=1) * np.sqrt(rate)
-    M[-1, :-1] = np.linalg.norm(C, axis=0) * np.sqrt(rate)
     with np.errstate(all="ignore"):
+        M[:-1, -1] = np.linalg.norm(B, axis=1) * np.sqrt(rate)
+        M[-1, :-1] = np.linalg.norm(C, axis=0) * np.sqrt(rate)
+        if not np.isfinite(M).all():
+            return np.ones(n)
         _, (scale, _) = sla.matrix_balance(M, permute=False, separate=True)
         t = scale[:-1] / scale[-1]
     # numbers beyond the range of balancing stay as they are
@@ -221,10 +223,14 @@ def _entry(name: str, num: np.ndarray, den: np.ndarray, at: tuple[int, int]) -> 
             f"{len(den) - 1}, so that the gain grows without end; add fast poles, as in s/(s/w + 1) with w well above "
             "the bandwidth"
         )
-    monic = den / den[0]
-    padded = np.concatenate([np.zeros(len(den) - len(num)), num]) / den[0]
-    direct = float(padded[0])
-    return (padded - direct * monic)[1:], monic, direct
+    with np.errstate(all="ignore"):
+        monic = den / den[0]
+        padded = np.concatenate([np.zeros(len(den) - len(num)), num]) / den[0]
+        direct = float(padded[0])
+        proper = (padded - direct * monic)[1:]
+    if not (np.isfinite(monic).all() and np.isfinite(proper).all() and np.isfinite(direct)):
+        raise ModelError(f"{name} has coefficients in entry {at} too far apart for doubles; choose other units")
+    return proper, monic, direct
 
 
 def _by_columns(entries: dict, p: int, m: int) -> Matrices:

@@ -102,6 +102,13 @@ def test_a_delay_of_a_thousand_million_samples_is_refused(tmp_path):
         read_study(tmp_path / "x.toml")
 
 
+@pytest.mark.parametrize("den", ["[1e-320, 1e300, 1]", "[1e-300, 0.2, 1e300]"])
+def test_coefficients_that_no_double_brings_together_are_refused(tmp_path, den):
+    (tmp_path / "x.toml").write_text(MIXED.replace("[1, 0.2, 0.1]", den))
+    with pytest.raises(SpecificationError, match="too far apart for doubles"):
+        read_study(tmp_path / "x.toml")
+
+
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of numbers such as 1e300, which the checks after them refuse
 @pytest.mark.parametrize("text", [SHAPING, MIXED], ids=["shaping", "mixed"])
 @pytest.mark.parametrize("count", [150, pytest.param(2500, marks=pytest.mark.slow)])
