@@ -105,10 +105,13 @@ def test_random_programs(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("start", range(1000, 2000, 50))
-def test_a_thousand_random_programs(start):
-    """Modes to 1.5 a sample, horizons to 100, both forms, delays, soft limits: optimal, and few are given up."""
-    assert sum(within(seed) for seed in range(start, start + 50)) >= 47
+@pytest.mark.parametrize("start", range(1000, 1120, 20))
+def test_random_programs_over_long_horizons(start):
+    """Modes to 1.5 a sample, horizons to 100, both forms, delays, soft limits: optimal, and few are given up.
+
+    A thousand of them: `benchmarks/mpc_programs.py`.
+    """
+    assert sum(within(seed) for seed in range(start, start + 20)) >= 19
 
 
 @pytest.mark.parametrize("seed", range(12))
