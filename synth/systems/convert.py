@@ -213,7 +213,7 @@ def _transfer_matrix(name: str, num: Any, den: Any) -> tuple[list[list[np.ndarra
     """Rows of numerators and denominators, from polynomials nested like python-control's or scipy's."""
     n, d = _depth(name, num), _depth(name, den)
     if n == 3:
-        top = [[_polynomial(name, entry) for entry in row] for row in num]
+        top = [[_polynomial(name, entry) for entry in _row(name, row)] for row in num]
     elif n == 2:
         top = [[_polynomial(name, row)] for row in num]
     else:
@@ -221,8 +221,8 @@ def _transfer_matrix(name: str, num: Any, den: Any) -> tuple[list[list[np.ndarra
     if not top or not top[0] or any(len(row) != len(top[0]) for row in top):
         raise ModelError(f"{name} has numerators in rows of different length; pass p rows of m polynomials")
     if d == 3:
-        below = [[_polynomial(name, entry) for entry in row] for row in den]
-    elif d == 2 and np.shape(np.asarray(den))[0] != 1:
+        below = [[_polynomial(name, entry) for entry in _row(name, row)] for row in den]
+    elif d == 2 and len(den) != 1:
         below = [[_polynomial(name, row)] for row in den]
     else:
         below = [[_polynomial(name, den[0] if d == 2 else den)] * len(top[0]) for _ in top]
@@ -232,6 +232,13 @@ def _transfer_matrix(name: str, num: Any, den: Any) -> tuple[list[list[np.ndarra
             "denominators; pass one for each, or one denominator for all"
         )
     return top, below
+
+
+def _row(name: str, value: Any) -> Any:
+    """A row of polynomials, where others are rows."""
+    if not isinstance(value, list | tuple | np.ndarray) or (isinstance(value, np.ndarray) and value.ndim == 0):
+        raise ModelError(f"{name} has {shown(value)} beside rows of polynomials; nest all polynomials alike")
+    return value
 
 
 def _depth(name: str, value: Any) -> int:

@@ -15,6 +15,7 @@ from plants.missions import cubesat3u
 from plants.simulation import campaign
 from synth import Design
 from synth.errors import ModelError
+from synth.files import sealed_by_parts
 
 pytestmark = pytest.mark.slow
 
@@ -135,5 +136,8 @@ def test_a_changed_controller_file_is_refused(flown, tmp_path):
     data = json.loads((flown[2] / "hinf.json").read_text())
     data["plant"]["A"][0][0] += 1e-9
     (tmp_path / "hinf.json").write_text(json.dumps(data))
+    with pytest.raises(ModelError, match=r"plant\.A was changed"):
+        Design.load(tmp_path / "hinf.json")
+    (tmp_path / "hinf.json").write_text(json.dumps(sealed_by_parts(data)))
     with pytest.raises(ModelError, match="plant_sha256"):
         Design.load(tmp_path / "hinf.json")
