@@ -6,9 +6,10 @@ lqr       of a CubeSat (n = 6) over python-control's `lqr`, which calls SLICOT
 first     one `care` of order 12 in a fresh process: nothing is compiled, JAX is not imported
 batch     512 equations by `care` and `dare` over slycot's sb02md one after another, without building its arguments
 
-Targets: lqr at most 2, first at most 2 ms, batches at most 1. Measured on one core: lqr 1.9; first 1.5 ms; batches .6
-to 1.0 but for dare with full weights at n = 20 and 30 (1.1, 1.2) and, with one weighted direction, care at n = 30 (1.1
-to 1.2) and dare at n = 30 (2.0 to 2.5): doubling from nothing starts poorly where unstable modes are hardly seen.
+Targets: lqr at most 2, first at most 2 ms, batches at most 1. Measured on one core: lqr 1.7 to 1.95; first 1.5 to 1.7
+ms; batches .6 to 1.0 but for care at n = 2 (.8 to 1.3), dare at n = 20 and 30 (1.05 to 1.2) and, with one weighted
+direction, care at n = 30 (1.0 to 1.2) and dare at n = 30 (2.0 to 2.5): doubling from nothing starts poorly where
+unstable modes are hardly seen.
 """
 
 from __future__ import annotations
