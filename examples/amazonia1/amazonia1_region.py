@@ -7,6 +7,7 @@ flown again, with all its rows, by --replay INDEX.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +18,7 @@ from amazonia1 import LQR, MRP, ROW, SDRE, Shared, case, controllers, measure, s
 from matplotlib.figure import Figure
 
 from plants import Campaign, Statement, Table, Verdict, amazonia1, clopper_pearson, figures, report, simulate, study
+from plants.files import write_atomically
 from plants.missions.amazonia1 import DEG, PERIOD, RPM, Dispersion, Outcome
 
 NAMES = (LQR, SDRE, MRP)
@@ -222,8 +224,9 @@ def save(found: Study, path: Path) -> None:
         key = name.replace(", ", "_").lower()
         data |= {f"{key}_index": flown.index}
         data |= {f"{key}_{part}": getattr(found.outcome(name), part) for part in KEPT}
+    np.savez_compressed(content := io.BytesIO(), **data)
     path.parent.mkdir(parents=True, exist_ok=True)
-    np.savez_compressed(path, **data)
+    write_atomically(path, content.getvalue())
 
 
 def replay(chosen: Mapping[str, Any], index: int, seed: int, duration: float, out: Path) -> Path:

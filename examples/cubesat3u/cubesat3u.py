@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import io
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -49,6 +50,7 @@ from plants import (
     simulate_many,
     study,
 )
+from plants.files import write_atomically
 from plants.missions.cubesat3u import DEG, REQUIREMENTS
 from synth.delivery.qp import save_mpc
 
@@ -268,7 +270,8 @@ def save(found: Study, out: Path) -> list[report.Card]:
                  ("free moves", cubesat3u.MPC_MOVES), ("solver", "DAQP")]  # fmt: skip
         cards.append(report.Card(f"MPC, {form} form", facts, [(file, "the quadratic program") for file in files]))
     if HINF in found.nominal:
-        indices_figure(found).savefig(out / "indices.png", dpi=120, facecolor="white")
+        indices_figure(found).savefig(picture := io.BytesIO(), format="png", dpi=120, facecolor="white")
+        write_atomically(out / "indices.png", picture.getvalue())
     return cards
 
 

@@ -24,6 +24,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
+from plants.files import usable, write_atomically
 from plants.outcome import report
 from plants.simulation import campaign
 
@@ -105,7 +106,8 @@ def parser(doc: str | None, *, out: str, fast: str, runs: int, what: str = "disp
 def parse(parser: argparse.ArgumentParser, arguments: Sequence[str] | None, *, natural: Collection[str] = ()) -> Any:
     """The options, checked: at least one run, a whole seed; likewise the options named in `natural`.
 
-    Unusable ones end the program with exit code 2 and a line that names the option.
+    The folder --out is made and tried by writing, before anything is flown for it. Unusable options end the program
+    with exit code 2 and a line that names the option.
     """
     options = parser.parse_args(arguments)
     if options.runs < 1:
@@ -113,6 +115,10 @@ def parse(parser: argparse.ArgumentParser, arguments: Sequence[str] | None, *, n
     for name in ("seed", *natural):
         if (getattr(options, name) or 0) < 0:
             parser.error(f"--{name} {getattr(options, name)}: give a whole number of at least 0")
+    try:
+        usable(options.out)
+    except OSError as error:
+        parser.error(f"--out {options.out}: {error.strerror}; give a folder that can be written")
     return options
 
 
@@ -287,5 +293,4 @@ def provenance(settings: str, study: Study, packages: Collection[str] = ()) -> l
 def written(path: Path, page: str) -> Path:
     """A page in its file; the folder is made if it is not there."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(page, encoding="utf-8")
-    return path
+    return write_atomically(path, page.encode())

@@ -1,6 +1,7 @@
 """The frame of the studies: options, interruptions, verdicts, and what is printed and written."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -75,6 +76,22 @@ def test_options_that_make_no_sense(arguments, message, capsys):
     parser.add_argument("--replay", type=int)
     assert ended(lambda: study.parse(parser, arguments, natural=["replay"])) == 2
     assert message in capsys.readouterr().err
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_anything_is_flown(tmp_path, capsys, monkeypatch):
+    parser = study.parser("A study of nothing.", out="out/nothing", fast="less", runs=3)
+    (tmp_path / "file").touch()
+    for folder in (tmp_path / "file", tmp_path / "file" / "x"):
+        assert ended(lambda folder=folder: study.parse(parser, ["--out", str(folder)])) == 2
+        assert f"error: --out {folder}: " in capsys.readouterr().err
+    assert study.parse(parser, ["--out", str(tmp_path / "new" / "one")]).out.is_dir()
+
+    def refused(*_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "write_bytes", refused)
+    assert ended(lambda: study.parse(parser, ["--out", str(tmp_path)])) == 2
+    assert "Permission denied; give a folder that can be written" in capsys.readouterr().err
 
 
 def test_help_names_defaults(capsys):
