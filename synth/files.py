@@ -6,14 +6,15 @@ numbers that a double can hold and no key twice. Everything else is a `ModelErro
 
 from __future__ import annotations
 
+import contextlib
 import datetime
+import errno
 import functools
 import hashlib
 import json
 import math
 import os
 import stat
-import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from importlib import metadata
 from pathlib import Path
@@ -23,21 +24,66 @@ from synth.errors import ModelError
 
 LARGEST = 64 * 2**20  # bytes of a file; a design of order 400 has 10 MiB
 DEEPEST = 50  # levels of lists and tables; a certificate has 7
+UNFINISHED = ".partial"  # how the name of a file ends that a killed writer left behind; it may be removed
+DEVICES = ("CON", "PRN", "AUX", "NUL", "CONIN$", "CONOUT$", "CLOCK$")
 SEAL, PARTS = "sha256", "parts_sha256"
 
 
 def write_atomically(path: Path, content: bytes) -> Path:
-    """Write beside the target and rename, so that a reader never sees half a file."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    """Write beside the target, force it to the disk and rename: a reader sees the old file or the new one, never half.
+
+    The file's mode follows the umask. A writer that is killed leaves at most a hidden ``.NAME.*.partial``.
+
+    Raises
+    ------
+    OSError : the folder is missing or cannot be written, or the disk is full; the old file is as it was.
+    """
+    temporary = path.parent / f".{path.name[:40]}.{os.urandom(6).hex()}{UNFINISHED}"
     try:
-        with os.fdopen(handle, "wb") as file:
+        with open(temporary, "xb") as file:
             file.write(content)
-        os.chmod(temporary, 0o644)
+            file.flush()
+            os.fsync(file.fileno())
         os.replace(temporary, path)
     except BaseException:
-        os.unlink(temporary)
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
         raise
+    _settle(path.parent)
     return path
+
+
+def check_writable(folder: Path) -> None:
+    """Raise OSError where no file can be written into a folder; one is written and removed again."""
+    probe = folder / f".{os.urandom(6).hex()}{UNFINISHED}"
+    try:
+        probe.write_bytes(b"probe")
+    finally:
+        with contextlib.suppress(OSError):
+            probe.unlink(missing_ok=True)
+
+
+def _settle(folder: Path) -> None:
+    """Force the names in a folder to the disk, where the system lets folders be opened and forced."""
+    try:
+        handle = os.open(folder, os.O_RDONLY)
+    except OSError:  # Windows, or a folder that may be written but not listed
+        return
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno != errno.EINVAL:
+            raise
+    finally:
+        os.close(handle)
+
+
+def is_device(name: str) -> bool:
+    """True for a file's name that is a device on Windows whatever follows its first dot, such as con.json or nul."""
+    stem = name.split(".")[0].rstrip(" ").upper()
+    return stem in DEVICES or (
+        stem[:3] in ("COM", "LPT") and len(stem) == 4 and stem[3] in "0123456789\u00b9\u00b2\u00b3"
+    )
 
 
 def read_bytes(path: Path, largest: int = LARGEST) -> bytes:

@@ -14,11 +14,13 @@ import re
 from collections.abc import Sequence
 from itertools import count
 from typing import Any, NamedTuple
+from urllib.parse import quote
 
 import matplotlib as mpl
 import numpy as np
 from cycler import cycler
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from plants.outcome.page_style import CSS
 
@@ -47,6 +49,7 @@ STYLE: dict[Any, Any] = {
     "xtick.color": INK,
     "ytick.color": INK,
 }
+POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"  # of the browser: no program, nothing fetched
 SIGNS = {"pass": ("&#10003;", "met"), "fail": ("&#10007;", "not met")}  # sign, and the word that is read aloud
 VERDICTS = {"holds": ("pass", "&#10003;"), "does not hold": ("fail", "&#10007;"), "not measured": ("none", "&#8211;")}
 DEPENDS = ("part", "&#8776;")  # of a verdict that depends on something
@@ -212,6 +215,9 @@ def figure(fig: Figure, caption: str, *, salt: str, alternative: str = "") -> st
     salt : different for each figure of a page, keeps its ids apart
     alternative : what is read aloud in place of the picture; by default that it is one, with its caption
     """
+    for text in fig.findobj(Text):
+        if isinstance(text, Text) and "mathdefault" not in text.get_text():  # which is a number beside an axis
+            text.set_parse_math(False)  # names are shown as they are
     buffer = io.StringIO()
     with mpl.rc_context({"svg.hashsalt": salt, **STYLE}):
         fig.savefig(
@@ -234,10 +240,7 @@ def figure(fig: Figure, caption: str, *, salt: str, alternative: str = "") -> st
 
 def links(files: Sequence[tuple[str, str]]) -> str:
     """A list of files beside the page: (name, what it is)."""
-    rows = (
-        f'<li><a href="{html.escape(n, quote=True)}" download>{html.escape(n)}</a>: {html.escape(t)}</li>'
-        for n, t in files
-    )
+    rows = (f'<li><a href="{quote(n)}" download>{html.escape(n)}</a>: {html.escape(t)}</li>' for n, t in files)
     return f'<ul class="files">{"".join(rows)}</ul>'
 
 
@@ -270,6 +273,7 @@ def page(
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
         '<link rel="icon" href="data:,">'
         f"<title>{html.escape(title)}</title><style>{CSS}</style></head><body>"
         '<a class="skip" href="#content">Skip to the content</a>'

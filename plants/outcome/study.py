@@ -12,7 +12,9 @@ Ctrl-C ends the flights, not the study: what has been measured by then is printe
 from __future__ import annotations
 
 import argparse
+import io
 import platform
+import sys
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -119,6 +121,9 @@ def parse(parser: argparse.ArgumentParser, arguments: Sequence[str] | None, *, n
         usable(options.out)
     except OSError as error:
         parser.error(f"--out {options.out}: {error.strerror}; give a folder that can be written")
+    for stream in (sys.stdout, sys.stderr):  # a screen without the sign shows its number, and the page is written
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     return options
 
 

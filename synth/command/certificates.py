@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from synth.delivery.acceptance import Requirements
+from synth.delivery.files import check_target
 from synth.errors import ModelError, SynthError
 from synth.proof.certify import BITS, FORMAT, Certificate
 from synth.proof.certify import certify as prove
@@ -23,12 +24,7 @@ def certify(options: argparse.Namespace, load: Load) -> tuple[dict[str, Any], st
     """The certificate of the design in a file is found and saved; returns what it claims, as data and in words."""
     file = options.files[0]
     target = Path(options.output) if options.output else Path(file).with_suffix(SUFFIX)
-    if target.suffix != ".json":
-        raise ModelError(f"{target}: a certificate is saved as .json")
-    if target.is_dir() or not target.parent.is_dir():
-        raise ModelError(f"{target}: {'this is a folder' if target.is_dir() else 'its folder does not exist'}")
-    if target.exists() and not options.force:
-        raise ModelError(f"{target}: the file exists; pass --force to replace it, or another -o")
+    check_target(target, "a certificate", (".json",), force=options.force)
     bits = BITS if options.bits is None else options.bits
     found = prove(of_design(file, load), lower=options.lower, upper=options.upper, bits=bits)
     found.save(target)

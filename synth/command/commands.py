@@ -299,12 +299,14 @@ def acceptance_text(found: Any) -> str:
 def export(options: argparse.Namespace) -> int:
     """`synth export`."""
     from synth.delivery.acceptance import accept
+    from synth.delivery.files import made
     from synth.delivery.formats import export as write
 
     file = options.files[0]
     item = load(file)
     if isinstance(item, GeneralizedPlant):
         raise ModelError(f"{file}: this is a plant; pass a design or a controller")
+    made(Path(options.output))
     umin, umax = limits_of(options)
     found = None
     if options.accept:
@@ -352,15 +354,11 @@ def compare(options: argparse.Namespace) -> int:
 def design(options: argparse.Namespace) -> int:
     """`synth design`."""
     from synth.command.specification import read_study
+    from synth.delivery.files import check_target
 
     file = Path(options.files[0])
     target = Path(options.output) if options.output else file.with_suffix(".json")
-    if target.suffix not in (".json", ".mat"):
-        raise ModelError(f"{target}: a design is saved as .json or .mat")
-    if target.is_dir() or not target.parent.is_dir():
-        raise ModelError(f"{target}: {'this is a folder' if target.is_dir() else 'its folder does not exist'}")
-    if target.exists() and not options.force:
-        raise ModelError(f"{target}: the file exists; pass --force to replace it, or another -o")
+    check_target(target, "a design", (".json", ".mat"), force=options.force)
     study = read_study(file)
     found = study.design()
     accepted = study.accept(found)

@@ -34,7 +34,7 @@ from synth.command.tables import Table
 from synth.delivery.acceptance import Acceptance, Requirements, accept, sampled
 from synth.delivery.modelfiles import FRACTIONS, NINE, Model, read
 from synth.errors import ModelError, SpecificationError, SynthError
-from synth.files import DEEPEST, parsed
+from synth.files import DEEPEST, is_device, parsed
 from synth.regulators.antiwindup import AntiWindup
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import METHODS, hinfsyn
@@ -191,6 +191,9 @@ def _from_file(table: Table, folder: Path, about: dict[str, Any]) -> Generalized
     name = table.text("file")
     if name is None:
         return None
+    if trouble := _stray(name):
+        table.wrong("file", f"{name}: {trouble}")
+        return None
     try:
         found = read(folder / name)
     except SynthError as error:
@@ -203,6 +206,16 @@ def _from_file(table: Table, folder: Path, about: dict[str, Any]) -> Generalized
             about[key] = about[key] or getattr(found, key)
         return found.system
     return found
+
+
+def _stray(name: str) -> str:
+    """What is wrong with where a file is said to be; empty if nothing is."""
+    path = Path(name)
+    if any(is_device(part) for part in path.parts):
+        return "Windows takes this name for a device; give the file another"
+    if not path.is_absolute() and (path.drive or os.path.normpath(name).startswith(os.pardir)):
+        return "it is outside the folder of the study; put the file beside the study, or write its whole path"
+    return ""
 
 
 def _from_matrices(table: Table) -> GeneralizedPlant | StateSpace | None:

@@ -121,7 +121,8 @@ def plot(designs: Mapping[str, Design], path: str | os.PathLike[str]) -> Path:
         loops.axhline(1.0, color="0.6", lw=0.8)
         loops.set(xlabel="frequency, rad/s", title="closed loop w to z, largest / gamma")
         controllers.set(ylabel="", title="controller, singular values")
-        loops.legend(frameon=False)
+        for text in loops.legend(frameon=False).get_texts():
+            text.set_parse_math(False)  # names of files
         for axes in (loops, controllers):
             axes.grid(True, which="major", lw=0.3)
         buffer = io.BytesIO()

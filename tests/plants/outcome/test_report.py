@@ -1,6 +1,7 @@
 """Pages of studies: what they say, and how a real browser shows them."""
 
 import re
+from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -84,6 +85,73 @@ def test_pages_are_reproducible_and_fetch_nothing():
     assert 'id="claims"' in page
     assert 'id="claims-2"' in page
     assert 'href="k.json" download' in page
+
+
+HOSTILE = "</svg><script>alert(1)</script>"
+WORSE = f"\"'><img src=x onerror=alert(1)></style></title>{HOSTILE} $\\frac$ &amp; javascript:alert(1)"
+
+
+class Elements(HTMLParser):
+    """Names and attributes of what a browser would make of a page."""
+
+    def __init__(self, page: str):
+        super().__init__()
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(page)
+
+    def handle_starttag(self, tag, attrs):
+        self.found.append((tag, dict(attrs)))
+
+
+def page_of(name: str, short: str) -> str:
+    """Every text of every element is the name, of the figures the short one."""
+    time, two = np.linspace(0, 10, 50), np.ones((1, 3))
+    drawn = [
+        figures.histories({short: (time, np.sin(time)[:, None])}, [short], scale="log"),
+        figures.against_bound({short: (time, np.sin(time)[:, None])}, [short], 1.0, ""),
+        figures.levels([short], {short: two}, {short: 2.0}, ""),
+        figures.scatter({short: (time, time, {short: time > 5})}, short, short),
+        figures.shares(np.arange(3.0), {short: np.array([1, 2])}, np.array([3, 3]), short),
+    ]
+    card = Card(name, [(name, name)], [(name, name)], name)
+    sections = [
+        Section(name, report.requirements_table([Requirement(name, 1.0, 2.0, name)])),
+        Section(name, report.claims_table([Claim(name, name, name, name)]) + report.paragraph(name)),
+        Section(name, report.table([name, name], [[name, name]], label=name) + report.cards([card])),
+        Section(
+            name, "".join(report.figure(f, name, salt=f"{name}{k}", alternative=name) for k, f in enumerate(drawn))
+        ),
+    ]
+    return report.page(name, name, sections, [name], highlights=[(name, name)])
+
+
+def test_scripts_in_names_are_text():
+    """A page of hostile names has the elements and attributes of one of harmless names, and no link leads out."""
+    hostile, harmless = (Elements(page_of(*n)).found for n in ((WORSE, f"{HOSTILE} $\\frac$"), ("name", "name")))
+    kinds = ({(tag, *sorted(attributes)) for tag, attributes in found} for found in (hostile, harmless))
+    assert next(kinds) == next(kinds)
+    for _, attributes in hostile:
+        for name in ("href", "src", "xlink:href"):
+            link = attributes.get(name) or "#"
+            assert link.startswith(("#", "data:")) or ":" not in link, link
+
+
+@pytest.mark.slow
+@needs_chromium
+def test_a_browser_runs_nothing_of_a_hostile_page(tmp_path):
+    from playwright.sync_api import sync_playwright
+
+    (tmp_path / "report.html").write_text(page_of(WORSE, HOSTILE), encoding="utf-8")
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
+        page, alarms = browser.new_page(), []
+        page.on("dialog", lambda dialog: (alarms.append(dialog.message), dialog.dismiss()))
+        page.on("console", lambda message: alarms.append(message.text))
+        page.goto((tmp_path / "report.html").as_uri())
+        assert alarms == []
+        assert page.locator("script, img").count() == 0
+        assert page.locator("h1").inner_text() == WORSE
+        browser.close()
 
 
 def test_series_are_seen_on_light_and_dark_cards():

@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 from literature import cubesat_pecorilla2024
+from studyfiles import MIXED, SHAPING
 from tampering import mutated
 
 from synth.__main__ import main
@@ -20,45 +21,6 @@ from synth.files import sealed_by_parts
 from synth.synthesis.design import from_dict, to_dict
 from synth.synthesis.hinfinity import hinfsyn
 from synth.systems.generalized import GeneralizedPlant
-
-SHAPING = """
-[plant]
-dt = 0
-sample = 0.1
-A = [[0, 1], [0, 0]]
-B = [[0], [1]]
-C = [[1, 0]]
-D = [[0]]
-[synthesis]
-problem = "loopshaping"
-feedback = "negative"
-gamma_factor = 1.2
-[weights]
-W1 = { A = [[1]], B = [[0.02]], C = [[1]], D = [[1]] }
-W2 = 2
-[specifications]
-ncf_margin = 0.1
-"""
-
-MIXED = """
-[plant]
-dt = 1
-num = [1, 0.5]
-den = [1, 0.2, 0.1]
-delay = 2
-u = ["a"]
-y = ["b"]
-units = { a = "N" }
-[synthesis]
-problem = "mixedsensitivity"
-[weights]
-W1 = { zeros = [], poles = ["0.1"], gain = 2 }
-W2 = { diag = [1] }
-[specifications]
-umin = [-1]
-umax = inf
-max_norm = 3.0
-"""
 
 
 @pytest.mark.parametrize(
