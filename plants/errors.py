@@ -1,8 +1,10 @@
 """The errors of this package, all below one root.
 
 PlantError
- └─ ScenarioError  a number of a plant, sensor, scenario or campaign is not usable; names field, value, remedy
-     └─ SingularityError  an attitude at which the coordinates have no rate
+ ├─ ScenarioError  a number of a plant, sensor, scenario or campaign is not usable; names field, value, remedy
+ │   └─ SingularityError  an attitude at which the coordinates have no rate
+ ├─ StoreError     a folder of flown runs is damaged, another study's, in use, or cannot be written
+ └─ EngineError    the processes or the cluster that should do the work cannot
 """
 
 
@@ -16,3 +18,11 @@ class ScenarioError(PlantError, ValueError):
 
 class SingularityError(ScenarioError):
     """An attitude at which the coordinates of a plant have no rate, such as 3-2-1 Euler angles at pitch +-90 deg."""
+
+
+class StoreError(PlantError, ValueError):
+    """A folder of flown runs is not usable; the message names the file, what is wrong and the remedy."""
+
+
+class EngineError(PlantError, RuntimeError):
+    """The processes or the cluster that should do the work cannot; the message says why and what to do."""

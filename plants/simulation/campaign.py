@@ -1,33 +1,31 @@
-"""Many dispersed runs of one case: bounded memory, results that depend on the run's index alone.
+"""Many dispersed runs of one case: bounded memory, runs that depend on their index alone, a store that outlives them.
 
 Run i draws its dispersion from the generator with SeedSequence(seed, spawn_key=(i,)) and its sensor noise from
-(seed, i), so that neither batch size nor the number of workers changes a result, and any run can be flown again
-alone with `replay_case`. Batches are cut so that their rows fit into a given memory; what `measure` makes of a run is
-always kept, the run itself on request.
+(seed, i); lanes are padded to a width at which they do not disturb each other. So on one machine neither the batch, nor
+the workers, nor where they work changes a bit of a run, and `replay` flies it again. Batches are cut so that their rows
+fit into a given memory; what `measure` makes of a run is always kept, the run itself on request.
 """
 
 import dataclasses
-from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
-from contextlib import closing
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import islice
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
-from tqdm import tqdm
 
 from plants.errors import ScenarioError
-from plants.simulation import blocks, simulate
-from plants.simulation.loop import Loop, Run, Scenario, check_numbers
+from plants.simulation import blocks, engines, identity, simulate
+from plants.simulation.conduct import Conducted, conduct
+from plants.simulation.flights import LANE, Case, Flights, Read, at, replay_case, varied
+from plants.simulation.loop import Run
+from plants.simulation.progress import Bar
 
 LANES = 256  # runs in a batch at most; beyond it a batch gains nothing
 SAMPLE = 8  # runs looked at before the first batch, to see which numbers vary
-RUN_INDEX = "[1].run"  # path of the run's index in (loop, scenario)
-
-Case = Callable[[Any, Any], tuple[Loop, Scenario]]
-Read = Callable[[Loop, Scenario], Any]
+MEMORY = 256 << 20  # bytes
+COPIES = 4  # of the rows of a batch, while they are made into runs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,13 +42,21 @@ class Campaign:
     varied: tuple[str, ...]  # paths of the numbers of (loop, scenario) that differed between runs
     kept: dict[int, Run]  # full trajectories, by index
     complete: bool  # False if interrupted
+    errors: dict[int, str]  # tracebacks of the runs that ended in an exception, by index; they are not in `index`
 
     def __str__(self) -> str:
-        """One paragraph: how many runs, how many sound, what varied."""
+        """One paragraph: how many runs, how many sound, what varied, what went wrong."""
         state = "complete" if self.complete else "INTERRUPTED"
         lines = [f"{len(self.index)} runs ({state}), {int(self.ok.sum())} sound; varied: {', '.join(self.varied)}"]
-        blamed = [f"{name} {int((self.culprit == name).sum())}" for name in simulate.CULPRITS[1:]]
-        return "\n".join(lines if self.ok.all() else [*lines, "failed in: " + ", ".join(blamed)])
+        if not self.ok.all():
+            blamed = [f"{name} {int((self.culprit == name).sum())}" for name in simulate.CULPRITS[1:]]
+            lines.append("failed in: " + ", ".join(blamed))
+        if self.errors:
+            index, text = next(iter(self.errors.items()))
+            lines.append(
+                f"ended in an exception: {len(self.errors)}, the first run {index}: {text.strip().splitlines()[-1]}"
+            )
+        return "\n".join(lines)
 
 
 def draw(sample: Callable[[int, int], Any], runs: int, seed: int) -> Any:
@@ -83,9 +89,13 @@ def campaign(
     record: simulate.Record | None = None,
     seed: int = 0,
     keep: Sequence[int] = (),
+    store: Path | str | None = None,
+    resume: bool = False,
     batch: int | None = None,
-    memory: int = 256 << 20,
-    workers: int = 2,
+    memory: int | None = None,
+    workers: int | None = None,
+    processes: bool = False,
+    scheduler: str | None = None,
     compiled: bool | None = None,
     progress: bool = True,
     on_batch: Callable[[int], None] | None = None,
@@ -104,9 +114,17 @@ def campaign(
     record : as in `simulate.simulate`
     seed : of the sensor noise
     keep : indices of runs whose trajectories are kept
+    store : folder in which finished batches are kept on disk, see `store.Store`; what is there survives any end of
+        this process
+    resume : continue a store: what it holds is not flown again. It must be of the same study (hashes of the first
+        cases, of the dispersions and of the code of case, measure, read and record; seed; versions), and a run of it,
+        flown again, must come out as it did.
     batch : runs flown at once by one worker; by default as many as `memory` allows, 256 at most
-    memory : bytes for the rows of all workers together
-    workers : threads that fly batches at the same time
+    memory : bytes for the rows of all workers together, with their copies; by default 256 MiB, or what 8 runs take
+    workers : threads or processes that fly batches at the same time, by default one for each processor
+    processes : fly in processes instead of threads: better for controllers that are stepped from Python, and a
+        process that dies loses nothing. `case`, `shared`, `measure` must be picklable by cloudpickle.
+    scheduler : address of a Dask scheduler whose workers fly, instead of this machine; needs the extra "dask"
     compiled : as in `simulate.simulate`
     progress : show a bar if it takes more than two seconds
     on_batch : called with the number of finished runs after every batch
@@ -114,85 +132,67 @@ def campaign(
     Returns
     -------
     Campaign
-        After Ctrl-C the finished batches, with ``complete`` False.
+        After Ctrl-C or SIGTERM the finished batches, with ``complete`` False. A run whose case, flight, `read` or
+        `measure` raises an exception is in ``errors``, the others are not disturbed.
 
     Raises
     ------
     ScenarioError
-        No runs, unusable numbers (the message names the run), dispersions that did not reach the loop.
+        No runs, unusable numbers in the first cases (the message names the run), dispersions that did not reach the
+        loop, a first batch in which every run ended in an exception.
+    StoreError
+        The store is another study's, damaged, in use or cannot be written.
+    EngineError
+        The cluster cannot do the work.
     """
     runs = count(dispersed)
-    for name, value in (("batch", 1 if batch is None else batch), ("workers", workers), ("memory", memory)):
+    for name, value in (("batch", 1 if batch is None else batch), ("memory", MEMORY if memory is None else memory)):
         if not isinstance(value, int) or value < 1:
             raise ScenarioError(f"{name} = {value!r}: give a whole number of at least 1")
-    sampled = [replay_case(case, dispersed, index, shared, seed) for index in range(min(runs, SAMPLE))]
-    if compiled is None:
-        compiled = simulate.can_compile(*sampled[0])
+    hands = engines.check(workers, processes, scheduler)
+    flights, sampled = _flights(case, dispersed, shared, measure, read, record, seed, keep, compiled)
     if batch is None:
-        widest = int(np.clip(memory // (2 * workers * simulate.row_bytes(*sampled[0], record)), 1, LANES))
-        turns = -(-runs // (widest * workers))  # of all workers, with batches of even width
-        batch = -(-runs // (turns * workers))
-    varied = _varied(sampled, compiled)
-    if not varied and blocks.differing([_at(dispersed, index) for index in range(len(sampled))]):
-        raise ScenarioError("dispersed: no number of loop or scenario varies with it; use d in case(d, shared)")
+        loop, scenario = sampled[0]
+        row = simulate.row_bytes(loop, scenario, record)
+        batch, hands = _width(runs, row, memory, hands)
+    flights = _padded(flights, batch)
 
-    def fly(chunk: range) -> _Batch:
-        cases = [replay_case(case, dispersed, index, shared, seed) for index in chunk]
-        own = _varied(cases, compiled)
-        lanes = [*cases, *[cases[-1]] * (batch - len(cases))]  # one shape, one compilation
-        flown = simulate.simulate_many(
-            lanes, compiled=compiled, record=record, varying=varied | own | {RUN_INDEX}, progress=progress
-        )[: len(cases)]
-        return _Batch(
-            chunk=chunk,
-            fates=[(run.ok, np.nan if run.failed_at is None else run.failed_at, run.culprit) for run in flown],
-            results=blocks.join([measure(run) for run in flown]),
-            applied=None if read is None else _confirmed(read, cases, dispersed, chunk),
-            varied=varied | own,
-            kept={index: _copied(run) for index, run in zip(chunk, flown, strict=True) if index in keep},
-        )
+    def what() -> dict[str, Any]:
+        return _described(flights, sampled, runs)
 
-    done: list[_Batch] = []
-    chunks = [range(a, min(a + batch, runs)) for a in range(0, runs, batch)]
-    complete = False
-    with tqdm(total=runs, desc="runs", delay=2.0, disable=not progress) as bar:
-        try:
-            with closing(_in_threads(fly, chunks, workers)) as flights:
-                for flight in flights:
-                    done.append(flight)
-                    bar.update(len(flight.chunk))
-                    if on_batch is not None:
-                        on_batch(sum(len(flight.chunk) for flight in done))
-            complete = True
-        except KeyboardInterrupt:
-            bar.write("interrupted: the finished runs are kept")
-    return _collect(sorted(done, key=lambda flight: flight.chunk.start), dispersed, complete)
+    with Bar(runs, shown=progress) as bar:
+        conducted = conduct(
+            flights, runs, dispersed,
+            batch=batch, workers=hands, processes=processes, scheduler=scheduler, store=store, resume=resume, what=what,
+            refly=flights.one, keep=sorted(flights.keep), bar=bar, on_batch=on_batch,
+        )  # fmt: skip
+    return _collect(conducted, dispersed)
 
 
-def replay_case(case: Case, dispersed: Any, index: int, shared: Any = None, seed: int = 0) -> tuple[Loop, Scenario]:
-    """Loop and scenario of run `index` of a campaign, noise included: `simulate.simulate` flies it again.
+def replay(
+    case: Case,
+    dispersed: Any,
+    index: int,
+    shared: Any = None,
+    *,
+    record: simulate.Record | None = None,
+    seed: int = 0,
+    compiled: bool | None = None,
+) -> Run:
+    """Run `index` of a campaign with all its rows, bit for bit as it was flown; arguments as of `campaign`.
+
+    `simulate.simulate` flies it alone, which gives the same to rounding (3e-17 to 2e-13 seen).
 
     Raises
     ------
     ScenarioError
-        The case cannot be built; the message names the run.
+        As `campaign`.
     """
-    try:
-        loop, scenario = case(_at(dispersed, index), shared)
-    except ScenarioError as error:
-        raise ScenarioError(f"run {index}: {error}") from error
-    return loop, dataclasses.replace(scenario, seed=seed, run=index)
-
-
-class _Batch(NamedTuple):
-    """What one batch leaves behind."""
-
-    chunk: range
-    fates: list[tuple[bool, float, str]]  # ok, failed_at (s), culprit
-    results: Any
-    applied: Any
-    varied: set[str]
-    kept: dict[int, Run]
+    runs = count(dispersed)
+    if isinstance(index, bool) or not isinstance(index, int | np.integer) or not 0 <= index < runs:
+        raise ScenarioError(f"index = {index!r}: give a whole number from 0 to {runs - 1}")
+    flights, _ = _flights(case, dispersed, shared, lambda run: 0, None, record, seed, (), compiled)
+    return flights.one(int(index))
 
 
 def count(dispersed: Any) -> int:
@@ -213,81 +213,88 @@ def count(dispersed: Any) -> int:
     return lengths.pop()[0]
 
 
-def _at(dispersed: Any, index: int) -> Any:
-    """The dispersion of one run."""
-    return jax.tree.map(lambda leaf: leaf[index], dispersed)
+def _flights(
+    case: Case, dispersed: Any, shared: Any, measure: Any, read: Any, record: Any, seed: int, keep: Any, compiled: Any
+) -> tuple[Flights, list[Any]]:
+    """The work of a campaign, eight lanes wide, and the first cases, which were checked."""
+    runs = count(dispersed)
+    sampled = [replay_case(case, dispersed, index, shared, seed) for index in range(min(runs, SAMPLE))]
+    compiled = simulate.can_compile(*sampled[0]) if compiled is None else compiled
+    varying = varied(sampled, compiled)
+    if not varying and blocks.differing([at(dispersed, index) for index in range(len(sampled))]):
+        raise ScenarioError("dispersed: no number of loop or scenario varies with it; use d in case(d, shared)")
+    flights = Flights(
+        case=case, dispersed=dispersed, shared=shared, measure=measure, read=read, record=record, seed=seed,
+        keep=frozenset(int(i) for i in keep), compiled=compiled, varying=varying, lanes=LANE,
+    )  # fmt: skip
+    return flights, sampled
 
 
-def _varied(cases: Sequence[tuple[Loop, Scenario]], compiled: bool) -> set[str]:
-    """Paths of the numbers that differ between cases, apart from the run's index."""
-    for loop, scenario in cases:
-        check_numbers(loop, scenario)
-    if not compiled:
-        cases = [(dataclasses.replace(loop, controller=None), scenario) for loop, scenario in cases]
-    return blocks.differing(cases) - {RUN_INDEX}
+def _padded(flights: Flights, batch: int) -> Flights:
+    """The same work in as many lanes as a batch needs, a multiple of eight."""
+    return dataclasses.replace(flights, lanes=-(-batch // LANE) * LANE)
 
 
-def _confirmed(read: Read, cases: Sequence[tuple[Loop, Scenario]], dispersed: Any, chunk: range) -> Any:
-    """The dispersions read back from what flies, equal to those asked for."""
-    applied = blocks.join([read(*pair) for pair in cases])
-    asked = blocks.join([_at(dispersed, index) for index in chunk])
-    if jax.tree.structure(applied) != jax.tree.structure(asked):
-        raise ScenarioError("read must return the structure of one dispersion, one number for each asked for")
-    for (path, flown), wanted in zip(
-        jax.tree_util.tree_flatten_with_path(applied)[0], jax.tree.leaves(asked), strict=True
-    ):
-        wrong = ~np.isclose(flown, wanted, rtol=1e-9, atol=1e-12 * np.abs(wanted).max())
-        if wrong.any():
-            at = int(np.argwhere(wrong)[0][0])
-            raise ScenarioError(
-                f"dispersed{jax.tree_util.keystr(path)} was not applied in run {chunk[at]}: asked for {wanted[at]}, "
-                f"flown with {flown[at]}"
-            )
-    return applied
+def _width(runs: int, row: int, memory: int | None, workers: int) -> tuple[int, int]:
+    """Runs in a batch, even among the workers, and how many workers there is memory for."""
+    least = LANE * COPIES * row
+    if memory is not None and memory < least:
+        raise ScenarioError(
+            f"memory = {memory}: {LANE} runs of {row} bytes with their copies take {least}; give that much, or keep "
+            "fewer rows (keep_every)"
+        )
+    room = max(MEMORY if memory is None else memory, least)
+    workers = min(workers, max(1, room // least))
+    widest = min(LANES, room // (COPIES * workers * row) // LANE * LANE)
+    turns = -(-runs // (widest * workers))  # of all workers, with batches of even width
+    even = -(-runs // (turns * workers))
+    return min(widest, -(-even // LANE) * LANE), workers
 
 
-def _copied(run: Run) -> Run:
-    """A run that does not keep the memory of its batch."""
-    arrays = ("time", "states", "outputs", "estimates", "references", "commands", "inputs", "extra")
-    return dataclasses.replace(run, **{name: jax.tree.map(np.copy, getattr(run, name)) for name in arrays})
+def _described(flights: Flights, sampled: Sequence[Any], runs: int) -> dict[str, Any]:
+    """What a campaign is, for its manifest."""
+    controllers = [loop.controller for loop, _ in sampled]
+    worlds = [(loop.plant, loop.sensors, loop.navigator, loop.actuator, loop.delay, scn) for loop, scn in sampled]
+    functions = {"case": flights.case, "measure": flights.measure, "read": flights.read, "record": flights.record}
+    return {
+        "what": "campaign",
+        "study": f"{getattr(flights.case, '__module__', '')}.{getattr(flights.case, '__qualname__', flights.case)}",
+        "runs": runs,
+        "seed": flights.seed,
+        "hashes": {
+            "plant and scenario": identity.digest(worlds),
+            "controller": identity.digest(controllers),
+            "dispersions": identity.digest(jax.tree.leaves(flights.dispersed)),
+            **{name: identity.digest(function) for name, function in functions.items()},
+        },
+        "code": {name: identity.source(function) for name, function in functions.items() if function is not None},
+    }
 
 
-def _in_threads(
-    work: Callable[[range], _Batch], chunks: Sequence[range], workers: int
-) -> Generator[_Batch, None, None]:
-    """Results as they come; compiled code leaves the interpreter free for the other threads."""
-    waiting, pending = iter(chunks), set()
-    with ThreadPoolExecutor(workers) as pool:
-        try:
-            while True:
-                pending |= {pool.submit(work, chunk) for chunk in islice(waiting, workers - len(pending))}
-                if not pending:
-                    return
-                finished, pending = wait(pending, timeout=0.5, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    yield future.result()
-        finally:
-            for future in pending:
-                future.cancel()
-
-
-def _collect(done: Sequence[_Batch], dispersed: Any, complete: bool) -> Campaign:
+def _collect(conducted: Conducted, dispersed: Any) -> Campaign:
     """The finished batches as one result."""
-    index = np.array([i for flight in done for i in flight.chunk], int)
-    fates = [fate for flight in done for fate in flight.fates]
+    sound = [part for part in conducted.batches if len(part.index)]
+    order = np.argsort(np.concatenate([part.index for part in sound])) if sound else np.zeros(0, int)
 
-    def chain(parts: list[Any]) -> Any:
-        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts) if parts else None
+    def chain(parts: Sequence[Any]) -> Any:
+        blocks.register(parts[0])
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
 
+    def column(name: str, kind: type) -> np.ndarray:
+        return np.concatenate([np.zeros(0, kind), *(getattr(part, name) for part in sound)])[order].astype(kind)
+
+    index = column("index", int)
+    applied = [part.applied for part in sound if part.applied is not None]
     return Campaign(
         index=index,
-        ok=np.array([fate[0] for fate in fates], bool),
-        failed_at=np.array([fate[1] for fate in fates], float),
-        culprit=np.array([fate[2] for fate in fates], str),
-        results=chain([flight.results for flight in done]),
+        ok=column("ok", bool),
+        failed_at=column("failed_at", float),
+        culprit=column("culprit", str),
+        results=chain([part.results for part in sound]) if sound else None,
         dispersed=jax.tree.map(lambda leaf: np.asarray(leaf)[index], dispersed),
-        applied=chain([flight.applied for flight in done]),
-        varied=tuple(sorted(set().union(*(flight.varied for flight in done)))),
-        kept={i: run for flight in done for i, run in flight.kept.items()},
-        complete=complete,
+        applied=chain(applied) if applied else None,
+        varied=tuple(sorted(frozenset().union(*(part.varied for part in conducted.batches)))),
+        kept={i: part.kept[i] for part in sound for i in sorted(part.kept)},
+        complete=conducted.complete,
+        errors={i: text for part in conducted.batches for i, text in sorted(part.errors.items())},
     )

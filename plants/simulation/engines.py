@@ -1,0 +1,255 @@
+"""Where the work of a campaign is done: threads or processes of this machine, or the workers of a Dask cluster.
+
+All three take a function of a chunk, and chunks of indices, and give (chunk, what came of it) as they come. A process
+that dies, by SIGKILL or for want of memory, takes nothing along but what it was just working on, which is given to
+another; a chunk that ends its process again and again, also alone, comes back as `Lost`.
+"""
+
+import contextlib
+import functools
+import os
+import threading
+import time
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from itertools import islice
+from typing import Any, NamedTuple, TypeVar
+
+import jax
+
+from plants.errors import EngineError, ScenarioError
+from plants.simulation import versions
+
+T = TypeVar("T")
+Chunk = Sequence[int]
+Work = Callable[[Chunk], T]
+Outcomes = Generator[tuple[Chunk, Any], None, None]
+
+TRIES = 5  # processes that a chunk may end before it is given up
+PATIENCE = 30.0  # s, for a scheduler to answer and for its first worker
+IDLE = 10  # s, after which a process without work ends
+AHEAD = 3  # chunks in flight for each worker of a cluster
+
+
+class Lost(NamedTuple):
+    """A chunk that ended every process that worked on it."""
+
+    reason: str
+
+
+def check(workers: int | None, processes: bool, scheduler: str | None) -> int:
+    """The number of workers, by default one for each processor that this process may use.
+
+    Raises
+    ------
+    ScenarioError
+        Not a whole number of at least 1, or both processes and a scheduler asked for.
+    """
+    if processes and scheduler is not None:
+        raise ScenarioError(f"scheduler = {scheduler!r} and processes = True: give one of them")
+    if workers is None:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
+        raise ScenarioError(f"workers = {workers!r}: give a whole number of at least 1")
+    return workers
+
+
+def carry_out(
+    work: Work[T], chunks: Sequence[Chunk], *, workers: int, processes: bool = False, scheduler: str | None = None
+) -> Outcomes:
+    """(chunk, its result or `Lost`) of every chunk, in the order in which they end.
+
+    Parameters
+    ----------
+    work : picklable by cloudpickle, with what it encloses, unless threads do it
+    chunks : what the function is called with, one after another
+    workers : threads or processes of this machine; a cluster has its own
+    processes : processes instead of threads
+    scheduler : address of a Dask scheduler, such as "tcp://127.0.0.1:8786"
+
+    Raises
+    ------
+    EngineError
+        The cluster does not answer, has no worker, other versions, or was lost; work that cannot be pickled.
+    """
+    if scheduler is not None:
+        return _on_cluster(work, chunks, scheduler)
+    return _in_processes(work, chunks, workers) if processes else _in_threads(work, chunks, workers)
+
+
+def _in_threads(work: Work[T], chunks: Sequence[Chunk], workers: int) -> Outcomes:
+    """Compiled code leaves the interpreter free for the other threads."""
+    waiting, pending = iter(chunks), {}
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            while True:
+                pending |= {pool.submit(work, chunk): chunk for chunk in islice(waiting, workers - len(pending))}
+                if not pending:
+                    return
+                for future in wait(pending, timeout=0.5, return_when=FIRST_COMPLETED).done:
+                    yield pending.pop(future), future.result()
+        finally:
+            for future in pending:
+                future.cancel()
+
+
+def _in_processes(work: Work[T], chunks: Sequence[Chunk], workers: int) -> Outcomes:
+    """Processes of loky: they need no guard in the caller's script, and end when this one does."""
+    from loky.process_executor import BrokenProcessPool, ProcessPoolExecutor
+
+    payload, waiting, tries = _pickled(work), list(reversed(chunks)), {}
+
+    def pool() -> Any:
+        return ProcessPoolExecutor(workers, timeout=IDLE, initializer=_settle_in, initargs=(os.getpid(),))
+
+    def end(executor: Any) -> None:
+        executor.shutdown(wait=False, kill_workers=True)
+
+    suspects: list[Chunk] = []  # of having ended a process; one at a time, so that it is known which
+    executor = pool()
+    pending: dict[Future, Chunk] = {}
+    try:
+        while waiting or suspects or pending:
+            given = None
+            try:
+                while len(pending) < (workers if waiting else 1) and (waiting or suspects):
+                    given = waiting.pop() if waiting else suspects.pop()
+                    pending[executor.submit(_called, payload, given)] = given
+                given = None
+                for future in wait(pending, timeout=0.5, return_when=FIRST_COMPLETED).done:
+                    outcome = future.result()
+                    yield pending.pop(future), outcome
+            except BrokenProcessPool as broken:
+                for chunk in [*pending.values(), *([] if given is None else [given])]:
+                    tries[chunk[0]] = tries.get(chunk[0], 0) + 1
+                    if len(pending) == 1 and tries[chunk[0]] >= TRIES:
+                        yield chunk, Lost(f"{TRIES} worker processes ended while it was worked on: {_reason(broken)}")
+                    else:
+                        suspects.append(chunk)
+                pending.clear()
+                end(executor)
+                executor = pool()
+    finally:
+        end(executor)
+
+
+def _on_cluster(work: Work[T], chunks: Sequence[Chunk], address: str) -> Outcomes:
+    """Workers of a cluster; what one of them was working on when it died is given to another."""
+    try:
+        import distributed
+    except ImportError as missing:
+        raise EngineError(f"scheduler = {address!r} needs Dask: pip install 'convex-synth[dask]'") from missing
+    payload, tries = _pickled(work), {}
+    try:
+        client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise EngineError(
+            f"scheduler = {address!r} does not answer: start one with `dask scheduler`, which prints its address"
+        ) from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE)
+        except TimeoutError as error:
+            raise EngineError(
+                f"scheduler = {address!r} has no worker after {PATIENCE:g} s: start one with `dask worker {address}`"
+            ) from error
+        _same_versions(client, address)
+        try:
+            shared = client.submit(
+                _itself, payload
+            )  # a task, which can be done again; scattered data is lost with its worker
+            waiting, pending = iter(chunks), {}
+            while True:
+                room = AHEAD * max(1, len(client.scheduler_info(n_workers=-1)["workers"])) - len(pending)
+                for chunk in islice(waiting, max(0, room)):
+                    pending[client.submit(_called, shared, chunk, pure=False)] = chunk
+                if not pending:
+                    return
+                try:
+                    distributed.wait(list(pending), timeout=2.0, return_when="FIRST_COMPLETED")
+                except TimeoutError:
+                    continue  # there may be more workers now
+                done = [future for future in pending if future.done()]
+                for future in done:
+                    chunk = pending.pop(future)
+                    try:
+                        yield chunk, future.result()
+                    except distributed.KilledWorker as killed:
+                        tries[chunk[0]] = tries.get(chunk[0], 0) + 1
+                        if tries[chunk[0]] >= 2:
+                            yield chunk, Lost(f"the workers that worked on it ended: {_reason(killed)}")
+                        else:
+                            pending[client.submit(_called, shared, chunk, pure=False)] = chunk
+        except (distributed.CancelledError, OSError) as error:
+            raise EngineError(
+                f"scheduler = {address!r} was lost: what was flown by then is in the store; start the scheduler again "
+                "and resume"
+            ) from error
+
+
+def _same_versions(client: Any, address: str) -> None:
+    """Raise EngineError where a worker would compute with other packages."""
+    ours = versions.of_packages()
+    try:
+        found = client.run(versions.of_packages)
+    except Exception as error:
+        raise EngineError(
+            f"scheduler = {address!r}: its workers cannot import plants: install convex-synth there"
+        ) from error
+    for worker, theirs in found.items():
+        for name, version in ours.items():
+            if theirs.get(name) != version:
+                raise EngineError(
+                    f"worker {worker} has {name} {theirs.get(name)}, this machine {version}: results would differ; "
+                    "install the same versions, see constraints.txt"
+                )
+
+
+def _pickled(work: Any) -> bytes:
+    import cloudpickle
+
+    try:
+        return cloudpickle.dumps(work)
+    except Exception as error:
+        raise EngineError(
+            f"case, shared or measure cannot be sent to another process ({type(error).__name__}: {error}): "
+            "use threads, or build what cannot be pickled inside case"
+        ) from error
+
+
+def _itself(payload: bytes) -> bytes:
+    return payload
+
+
+def _called(payload: bytes, chunk: Chunk) -> Any:
+    """In the worker: the work on one chunk."""
+    return _unpickled(payload)(chunk)
+
+
+@functools.lru_cache(maxsize=1)
+def _unpickled(payload: bytes) -> Any:
+    """The work; once in a process, so that its blocks stay the same objects."""
+    import cloudpickle
+
+    with jax.enable_x64(True):  # or arrays of JAX would come out with 7 digits
+        return cloudpickle.loads(payload)
+
+
+def _settle_in(parent: int) -> None:
+    """In a new process: Ctrl-C is for the parent, without which there is nothing to do."""
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _reason(error: BaseException) -> str:
+    with contextlib.suppress(Exception):
+        return str(error).strip().splitlines()[0][:200]
+    return type(error).__name__
