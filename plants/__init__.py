@@ -5,7 +5,8 @@
     dynamics       `RigidBody`, `EulerBody`, `Station` (relative motion)
     hardware       `ReactionWheels`, `Thrusters`, `SunSensor`, `Magnetometer`, `Gyro`, ...
     estimation     `ekf`, `svd_navigator`, `kalman`, `station_ekf`
-    simulation     `Loop` and `Scenario` go into `simulate`, `simulate_many`, `campaign`, `linearize`; out comes a `Run`
+    simulation     `Loop` and `Scenario` go into `simulate`, `simulate_many`, `campaign`, `linearize`; a `Run` comes
+                   out; `Store` reads what a campaign has stored, `sweep` goes through designs
     outcome        `indices`, `settling_time`, `run_plot`, `campaign_plot`; `report` and `study` make pages
     missions       `cubesat3u`, `amazonia1`, `airbearing`, `geo`: the numbers of the studies
 
@@ -28,9 +29,11 @@ if TYPE_CHECKING:
     from plants.dynamics.rigidbody import BodyState as BodyState
     from plants.dynamics.rigidbody import RigidBody as RigidBody
     from plants.dynamics.rigidbody import state_from as state_from
+    from plants.errors import EngineError as EngineError
     from plants.errors import PlantError as PlantError
     from plants.errors import ScenarioError as ScenarioError
     from plants.errors import SingularityError as SingularityError
+    from plants.errors import StoreError as StoreError
     from plants.estimation.kalman import Kalman as Kalman
     from plants.estimation.kalman import RawAngles as RawAngles
     from plants.estimation.kalman import kalman as kalman
@@ -87,6 +90,7 @@ if TYPE_CHECKING:
     from plants.simulation.campaign import Campaign as Campaign
     from plants.simulation.campaign import campaign as campaign
     from plants.simulation.campaign import draw as draw
+    from plants.simulation.campaign import replay as replay
     from plants.simulation.campaign import replay_case as replay_case
     from plants.simulation.linearize import LinearModel as LinearModel
     from plants.simulation.linearize import linearize as linearize
@@ -101,6 +105,9 @@ if TYPE_CHECKING:
     from plants.simulation.simulate import can_compile as can_compile
     from plants.simulation.simulate import simulate as simulate
     from plants.simulation.simulate import simulate_many as simulate_many
+    from plants.simulation.store import Store as Store
+    from plants.simulation.sweep import Sweep as Sweep
+    from plants.simulation.sweep import sweep as sweep
     from plants.surroundings.disturbances import ConstantTorque as ConstantTorque
     from plants.surroundings.disturbances import Disturbance as Disturbance
     from plants.surroundings.disturbances import Drag as Drag
@@ -131,6 +138,7 @@ _HOME = {  # of a name; modules are their own home
     "Disturbance": "surroundings.disturbances",
     "Drag": "surroundings.disturbances",
     "Ekf": "estimation.navigation",
+    "EngineError": "errors",
     "Environment": "surroundings.environment",
     "Errors": "outcome.indices",
     "EulerBody": "dynamics.eulerbody",
@@ -170,8 +178,11 @@ _HOME = {  # of a name; modules are their own home
     "Station": "dynamics.relative",
     "StationEkf": "estimation.tracking",
     "StationState": "dynamics.relative",
+    "Store": "simulation.store",
+    "StoreError": "errors",
     "SunSensor": "hardware.sensors",
     "SvdNavigator": "estimation.navigation",
+    "Sweep": "simulation.sweep",
     "Table": "outcome.study",
     "Thrusters": "hardware.thrusters",
     "TorqueEnv": "dynamics.eulerbody",
@@ -200,6 +211,7 @@ _HOME = {  # of a name; modules are their own home
     "linearize": "simulation.linearize",
     "observability": "estimation.tracking",
     "pointing_errors": "outcome.indices",
+    "replay": "simulation.campaign",
     "replay_case": "simulation.campaign",
     "report": "outcome.report",
     "run_plot": "outcome.plots",
@@ -212,6 +224,7 @@ _HOME = {  # of a name; modules are their own home
     "step_response": "outcome.indices",
     "study": "outcome.study",
     "svd_navigator": "estimation.navigation",
+    "sweep": "simulation.sweep",
 }
 
 __all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -134,7 +134,7 @@ def fly(found: Study, duration: float, runs: int, seed: int) -> None:
         measure=airbearing.outcome,
         keep=keep,
         seed=seed,
-        workers=1,
+        **{"workers": 1, **found.flying},
     )
 
 
@@ -356,7 +356,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     runs, duration = (min(options.runs, 2), 120.0) if options.fast else (options.runs, DURATION)
     found = Study()
-    study.carry_out(found, lambda: fly(found, duration, runs, options.seed))
+    study.carry_out(found, lambda: fly(found, duration, runs, options.seed), options)
     return study.conclude(
         found,
         options.out,

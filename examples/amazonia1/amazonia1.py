@@ -126,6 +126,7 @@ def fly(found: Study, controllers: dict[str, Any], runs: int, seed: int) -> None
         measure=measure,
         read=amazonia1.applied,
         keep=dict.fromkeys(PAPER, range(runs + 1)),
+        **found.flying,
     )
 
 
@@ -259,7 +260,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = study.parse(study.parser(__doc__, out="out/amazonia1", fast=fast, runs=100), arguments)
     runs, duration = (min(options.runs, 4), 600.0) if options.fast else (options.runs, amazonia1.DURATION)
     found, built = Study(duration), controllers()
-    study.carry_out(found, lambda: fly(found, built, runs, options.seed))
+    study.carry_out(found, lambda: fly(found, built, runs, options.seed), options)
     return study.conclude(
         found,
         options.out,

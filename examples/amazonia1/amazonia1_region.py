@@ -56,6 +56,7 @@ def fly(found: Study, chosen: Mapping[str, Any]) -> None:
         found.campaigns,
         measure=measure,
         read=amazonia1.applied,
+        **found.flying,
     )
 
 
@@ -290,7 +291,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     drawn = amazonia1.region(runs, options.seed)
     found = Study(drawn, amazonia1.momentum_load(amazonia1.starts(drawn)), duration)
-    study.carry_out(found, lambda: fly(found, chosen))
+    study.carry_out(found, lambda: fly(found, chosen), options)
     save(found, options.out / "region.npz")
     return study.conclude(
         found,

@@ -195,7 +195,8 @@ def fly(found: Study, runs: int, seed: int, duration: float) -> None:
             navigator, controller = name.split(" + ")
             shared = Shared(surroundings, found.controllers[controller], navigators[navigator], periods)
             keep = range(runs + 1) if name == HINF else [0]
-            flown = campaign(case, drawn, shared, measure=measure, read=applied, seed=seed, keep=keep, progress=False)
+            options = {"measure": measure, "seed": seed, "progress": False, **study.stored(found.flying, name)}
+            flown = campaign(case, drawn, shared, read=applied, keep=keep, **options)
             found.campaigns[name] = flown
             if not flown.complete:
                 raise KeyboardInterrupt
@@ -206,7 +207,13 @@ def fly(found: Study, runs: int, seed: int, duration: float) -> None:
         for name in turned:
             navigator, controller = name.split(" + ")
             shared = Shared(None, found.controllers[controller], navigators[navigator], periods)
-            flown = campaign(on_plane, (drawn, batch), shared, measure=measure, seed=seed, progress=False)
+            options = {
+                "measure": measure,
+                "seed": seed,
+                "progress": False,
+                **study.stored(found.flying, f"{name} turned"),
+            }
+            flown = campaign(on_plane, (drawn, batch), shared, **options)
             found.turned[name] = flown
             if not flown.complete:
                 raise KeyboardInterrupt
@@ -295,7 +302,7 @@ def main(arguments: list[str] | None = None) -> int:
     design, controllers = design_controllers()
     print(f"{design}\n", flush=True)
     found = Study(design, controllers, window)
-    study.carry_out(found, lambda: fly(found, runs, options.seed, duration))
+    study.carry_out(found, lambda: fly(found, runs, options.seed, duration), options)
     return study.conclude(
         found,
         options.out,

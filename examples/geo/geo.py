@@ -342,7 +342,7 @@ def stem(name: str) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """The command line."""
     parser = study.parser(__doc__, out="out/geo", fast="two days of box keeping, one noisy run", runs=3,
-                          what="noisy runs of each controller")  # fmt: skip
+                          what="noisy runs of each controller", stored=False)  # fmt: skip
     parser.add_argument("--days", type=int, default=14, help="of box keeping (default 14)")
     options = study.parse(parser, arguments, natural=("days",))
     runs, days = (1, 2) if options.fast else (options.runs, options.days)

@@ -3,10 +3,11 @@
 A study is numbers with their sources, scenarios, and what it makes of them; its `main` reads
 
     options = study.parse(study.parser(__doc__, ...), arguments)
-    study.carry_out(found, lambda: fly(found, ...))
+    study.carry_out(found, lambda: fly(found, ...), options)
     return study.conclude(found, options.out, title=..., tables=..., statements=..., sections=...)
 
-Ctrl-C ends the flights, not the study: what has been measured by then is printed and written, and says so.
+Ctrl-C and SIGTERM end the flights, not the study: what has been measured by then is printed and written, and says so;
+--resume flies the rest, also after SIGKILL.
 """
 
 from __future__ import annotations
@@ -17,18 +18,21 @@ import platform
 import sys
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from matplotlib.figure import Figure
-from tqdm import tqdm
 
+from plants.errors import EngineError, StoreError
 from plants.files import usable, write_atomically
 from plants.outcome import report
 from plants.simulation import campaign
+from plants.simulation.conduct import terminable
+from plants.simulation.progress import Bar
+from plants.simulation.store import move_aside
 
 FILES = {"json": "with its plant, every bit", "mat": "for MATLAB and Octave"}  # that a design writes
 PACKAGES = ("convex-synth", "jax", "numpy", "scipy")  # named at the foot of every page
@@ -84,9 +88,12 @@ class Study:
 
     complete: bool = False  # False while it flies, and for good if it was interrupted
     seconds: float = 0.0  # s, wall time of the flights
+    flying: Mapping[str, Any] = field(default_factory=dict)  # how its campaigns fly: further options of `campaigns`
 
 
-def parser(doc: str | None, *, out: str, fast: str, runs: int, what: str = "dispersed runs") -> argparse.ArgumentParser:
+def parser(
+    doc: str | None, *, out: str, fast: str, runs: int, what: str = "dispersed runs", stored: bool = True
+) -> argparse.ArgumentParser:
     """The options that all studies have; a study may add its own.
 
     Parameters
@@ -96,12 +103,22 @@ def parser(doc: str | None, *, out: str, fast: str, runs: int, what: str = "disp
     fast : what --fast leaves, in words
     runs : default of --runs
     what : what --runs counts
+    stored : whether its flights are campaigns, which outlive an interruption
     """
     p = argparse.ArgumentParser(description=(doc or "").strip().splitlines()[0])
     p.add_argument("--fast", action="store_true", help=f"{fast}: a quick look")
     p.add_argument("--runs", type=int, default=runs, help=f"{what} (default {runs})")
     p.add_argument("--seed", type=int, default=0, help="of everything that is drawn (default 0)")
     p.add_argument("--out", type=Path, default=Path(out), help=f"folder for report and data (default {out})")
+    if stored:
+        p.add_argument(
+            "--resume",
+            action="store_true",
+            help="fly only what an earlier start with the same options has not flown yet, by the runs in --out",
+        )
+        p.add_argument("--workers", type=int, help="batches flown at the same time (default: one for each processor)")
+        p.add_argument("--scheduler", metavar="ADDRESS",
+                       help='of a Dask cluster that flies instead, such as "tcp://127.0.0.1:8786"')  # fmt: skip
     return p
 
 
@@ -127,15 +144,44 @@ def parse(parser: argparse.ArgumentParser, arguments: Sequence[str] | None, *, n
     return options
 
 
-def carry_out(study: Study, fly: Callable[[], None]) -> None:
-    """Call `fly`, which fills the study; note the time it took and whether it came to its end."""
+def carry_out(study: Study, fly: Callable[[], None], options: Any = None) -> None:
+    """Call `fly`, which fills the study; note the time it took and whether it came to its end.
+
+    With the `options` of `parse`, its campaigns are stored in the folder ``runs`` of --out; without --resume what an
+    earlier start left there is moved to ``runs.previous``. A store or a cluster that is not usable ends the program
+    with exit code 2. SIGTERM ends the flights as Ctrl-C does.
+    """
     started = time.perf_counter()
     try:
-        fly()
+        with terminable():
+            if options is not None:
+                study.flying = _flying(options)
+            fly()
         study.complete = True
     except KeyboardInterrupt:
         print("interrupted: the report holds what was flown")
+    except (StoreError, EngineError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(2) from error
     study.seconds = time.perf_counter() - started
+
+
+def _flying(options: Any) -> dict[str, Any]:
+    """Options of `campaigns` that the command line has given."""
+    folder = options.out / "runs"
+    if not options.resume and (previous := move_aside(folder)):
+        print(f"the runs of an earlier start are in {previous} now; --resume would have continued them")
+    given = {"workers": options.workers, "scheduler": options.scheduler}
+    return {"store": folder, **{name: value for name, value in given.items() if value is not None}}
+
+
+def stored(flying: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Options of one campaign of a study: those in `flying`, with a store of its own, which is continued."""
+    options = dict(flying)
+    if options.get("store") is not None:
+        plain = "".join(letter if letter.isalnum() else "-" for letter in name.lower())
+        options |= {"store": options["store"] / plain, "resume": True}
+    return options
 
 
 def campaigns(
@@ -155,7 +201,7 @@ def campaigns(
     shared : name -> what the runs of this campaign have in common
     into : name -> Campaign, filled here
     keep : name -> indices of the runs whose trajectories are kept
-    options : further ones of `campaign.campaign`, the same for all
+    options : further ones of `campaign.campaign`, the same for all; in `store` each has a folder of its own
 
     Raises
     ------
@@ -163,18 +209,20 @@ def campaigns(
         Ctrl-C; the finished batches are in `into`.
     """
     runs = campaign.count(dispersed)
-    with tqdm(total=len(shared) * runs, desc="runs", delay=2.0) as bar:
+    with Bar(len(shared) * runs) as bar:
         for done, (name, common) in enumerate(shared.items()):
 
             def advanced(finished: int, before: int = done * runs) -> None:
-                bar.update(before + finished - bar.n)
+                bar.reach(before + finished)
 
             kept = (keep or {}).get(name, ())
             flown = campaign.campaign(
-                case, dispersed, common, keep=kept, progress=False, on_batch=advanced, **options
+                case, dispersed, common, keep=kept, progress=False, on_batch=advanced, **stored(options, name)
             )  # fmt: skip
             if len(flown.index):
                 into[name] = flown
+            if flown.errors:
+                bar.tell(f"{name}: {str(flown).splitlines()[-1]}")
             if not flown.complete:
                 raise KeyboardInterrupt
 

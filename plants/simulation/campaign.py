@@ -17,7 +17,7 @@ import numpy as np
 
 from plants.errors import ScenarioError
 from plants.simulation import blocks, engines, identity, simulate
-from plants.simulation.conduct import Conducted, conduct
+from plants.simulation.conduct import Conducted, chained, conduct
 from plants.simulation.flights import LANE, Case, Flights, Read, at, replay_case, varied
 from plants.simulation.loop import Run
 from plants.simulation.progress import Bar
@@ -253,8 +253,8 @@ def _width(runs: int, row: int, memory: int | None, workers: int) -> tuple[int, 
 
 def _described(flights: Flights, sampled: Sequence[Any], runs: int) -> dict[str, Any]:
     """What a campaign is, for its manifest."""
-    controllers = [loop.controller for loop, _ in sampled]
-    worlds = [(loop.plant, loop.sensors, loop.navigator, loop.actuator, loop.delay, scn) for loop, scn in sampled]
+    loop, scenario = sampled[0]  # the others differ by their dispersions
+    world = (loop.plant, loop.sensors, loop.navigator, loop.actuator, loop.delay, scenario)
     functions = {"case": flights.case, "measure": flights.measure, "read": flights.read, "record": flights.record}
     return {
         "what": "campaign",
@@ -262,8 +262,8 @@ def _described(flights: Flights, sampled: Sequence[Any], runs: int) -> dict[str,
         "runs": runs,
         "seed": flights.seed,
         "hashes": {
-            "plant and scenario": identity.digest(worlds),
-            "controller": identity.digest(controllers),
+            "plant and scenario": identity.digest(world),
+            "controller": identity.digest(loop.controller),
             "dispersions": identity.digest(jax.tree.leaves(flights.dispersed)),
             **{name: identity.digest(function) for name, function in functions.items()},
         },
@@ -273,28 +273,18 @@ def _described(flights: Flights, sampled: Sequence[Any], runs: int) -> dict[str,
 
 def _collect(conducted: Conducted, dispersed: Any) -> Campaign:
     """The finished batches as one result."""
-    sound = [part for part in conducted.batches if len(part.index)]
-    order = np.argsort(np.concatenate([part.index for part in sound])) if sound else np.zeros(0, int)
-
-    def chain(parts: Sequence[Any]) -> Any:
-        blocks.register(parts[0])
-        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
-
-    def column(name: str, kind: type) -> np.ndarray:
-        return np.concatenate([np.zeros(0, kind), *(getattr(part, name) for part in sound)])[order].astype(kind)
-
-    index = column("index", int)
-    applied = [part.applied for part in sound if part.applied is not None]
+    parts = conducted.batches
+    index = chained(parts, "index")
     return Campaign(
         index=index,
-        ok=column("ok", bool),
-        failed_at=column("failed_at", float),
-        culprit=column("culprit", str),
-        results=chain([part.results for part in sound]) if sound else None,
+        ok=chained(parts, "ok"),
+        failed_at=chained(parts, "failed_at"),
+        culprit=chained(parts, "culprit"),
+        results=chained(parts, "results"),
         dispersed=jax.tree.map(lambda leaf: np.asarray(leaf)[index], dispersed),
-        applied=chain(applied) if applied else None,
-        varied=tuple(sorted(frozenset().union(*(part.varied for part in conducted.batches)))),
-        kept={i: part.kept[i] for part in sound for i in sorted(part.kept)},
+        applied=chained(parts, "applied"),
+        varied=tuple(sorted(frozenset().union(*(part.varied for part in parts)))),
+        kept={i: part.kept[i] for part in parts for i in sorted(part.kept)},
         complete=conducted.complete,
-        errors={i: text for part in conducted.batches for i, text in sorted(part.errors.items())},
+        errors={i: text for part in parts for i, text in sorted(part.errors.items())},
     )

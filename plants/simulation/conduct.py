@@ -12,10 +12,11 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from plants.errors import ScenarioError
-from plants.simulation import engines, records
+from plants.simulation import blocks, engines, records
 from plants.simulation.flights import Batch, form
 from plants.simulation.loop import Run
 from plants.simulation.progress import Bar
@@ -27,6 +28,10 @@ class Conducted(NamedTuple):
 
     batches: list[Batch]
     complete: bool
+
+
+_none = np.zeros(0)
+NOTHING = Batch(_none.astype(int), _none.astype(bool), _none, _none.astype(str), None, None, frozenset(), {}, {})
 
 
 class Terminated(KeyboardInterrupt):
@@ -78,8 +83,7 @@ def conduct(
                     bar.tell(line)
                 done += _from(opened, work, refly, keep)
             flown = {int(i) for part in done for i in (*part.index, *part.errors)}
-            if flown:
-                bar.update(len(flown))
+            bar.already(len(flown))
             missing = [index for index in range(count) if index not in flown]
             chunks = [missing[a : a + batch] for a in range(0, len(missing), batch)]
             found = engines.carry_out(work, chunks, workers=workers, processes=processes, scheduler=scheduler)
@@ -100,6 +104,17 @@ def conduct(
             safe = f"in {store}: resume to fly the others" if store is not None else "kept"
             bar.tell(f"interrupted: the finished runs are {safe}")
     return Conducted(sorted(done, key=lambda part: min([*part.index, *part.errors], default=0)), complete)
+
+
+def chained(batches: Sequence[Batch], name: str) -> Any:
+    """A field of all batches as one, rows in the order of the index; None where no batch has it."""
+    sound = [part for part in batches if len(part.index)]
+    if not sound:
+        return getattr(NOTHING, name)
+    order = np.argsort(np.concatenate([part.index for part in sound]))
+    fields = [getattr(part, name) for part in sound]
+    blocks.register(fields[0])
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *fields)
 
 
 @contextlib.contextmanager
@@ -125,7 +140,7 @@ def _from(store: Store, work: Callable[[Sequence[int]], Batch], refly: Any, keep
         return []
     first = records.first_sound(store)
     if first is None:
-        return [records.errors(store)]
+        return [NOTHING._replace(errors=records.errors(store))]
     again = work([first])
     records.check_again(store, again)
     stored = records.read(store, again)
@@ -139,11 +154,7 @@ def _from(store: Store, work: Callable[[Sequence[int]], Batch], refly: Any, keep
 
 def _lost(chunk: Sequence[int], lost: engines.Lost) -> Batch:
     """A batch of which nothing came back."""
-    nothing = np.zeros(0)
-    return Batch(
-        nothing.astype(int), nothing.astype(bool), nothing, nothing.astype(str), None, None, frozenset(), {},
-        dict.fromkeys(chunk, lost.reason),
-    )  # fmt: skip
+    return NOTHING._replace(errors=dict.fromkeys(chunk, lost.reason))
 
 
 def _of_one_form(part: Batch, done: Sequence[Batch]) -> Batch:
@@ -156,4 +167,4 @@ def _of_one_form(part: Batch, done: Sequence[Batch]) -> Batch:
         return part
     shapes, others = [s[1:] for s in now], [s[1:] for s in then]
     text = f"measure returned shapes {shapes}, for run {first.index[0]} {others}: return one form"
-    return _lost([], engines.Lost(""))._replace(errors={**part.errors, **{int(i): text for i in part.index}})
+    return NOTHING._replace(errors={**part.errors, **{int(i): text for i in part.index}})

@@ -53,8 +53,6 @@ def write(store: Store, batch: Batch, dispersed: Any) -> None:
 def read(store: Store, like: Batch) -> Batch:
     """All rows of a store, in the form of a batch; the trajectories stay where they are."""
     table = store.table()
-    told = table.select(["index", "error"]).to_pydict()
-    errors = {i: text for i, text in zip(told["index"], told["error"], strict=True) if text}
     sound = table.filter(_without_error(table))
     columns = {name: array(sound.column(name), sound.schema.field(name)) for name in sound.column_names}
 
@@ -75,18 +73,14 @@ def read(store: Store, like: Batch) -> Batch:
         applied=None if like.applied is None else tree(like.applied, "applied"),
         varied=like.varied,
         kept={},
-        errors=errors,
+        errors=errors(store),
     )
 
 
-def errors(store: Store) -> Batch:
-    """The rows of a store in which every run ended in an exception."""
+def errors(store: Store) -> dict[int, str]:
+    """Tracebacks of the stored runs that ended in an exception, by index."""
     told = store.table(["index", "error"]).to_pydict()
-    nothing = np.zeros(0)
-    return Batch(
-        nothing.astype(int), nothing.astype(bool), nothing, nothing.astype(str), None, None, frozenset(), {},
-        dict(zip(told["index"], told["error"], strict=True)),
-    )  # fmt: skip
+    return {index: text for index, text in zip(told["index"], told["error"], strict=True) if text}
 
 
 def first_sound(store: Store) -> int | None:

@@ -13,6 +13,7 @@ import hashlib
 import io
 import json
 import platform
+import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -248,6 +249,32 @@ class Store:
         if (table.schema.metadata or {}).get(b"manifest") != self.manifest["sha256"].encode():
             raise StoreError(f"{path}: belongs to another store; remove it")
         return table
+
+
+def move_aside(folder: Path) -> Path | None:
+    """Rename a folder of stores, so that others can be begun; its new place, None if there is none.
+
+    What an earlier call has moved there is removed.
+
+    Raises
+    ------
+    StoreError
+        A process is flying into one of them.
+    """
+    if not folder.is_dir():
+        return None
+    for path in folder.glob(f"*/{LOCK}"):
+        try:
+            with filelock.FileLock(path, timeout=0):
+                pass
+        except filelock.Timeout as held:
+            raise StoreError(
+                f"{path.parent}: another process is flying into it; wait for its end, or give another folder"
+            ) from held
+    previous = folder.with_name(f"{folder.name}.previous")
+    if previous.is_dir():
+        shutil.rmtree(previous)
+    return folder.rename(previous)
 
 
 def _field(name: str, values: np.ndarray, missing: np.ndarray | None) -> tuple[pa.Field, pa.Array]:
