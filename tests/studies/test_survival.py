@@ -1,0 +1,100 @@
+"""Studies that are killed: what was flown is in --out, --resume flies the rest, and nothing else changes."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import amazonia1_region as region
+import numpy as np
+import pytest
+
+from plants.errors import StoreError
+from plants.simulation.store import Store, move_aside
+
+ROOT = Path(__file__).resolve().parents[2]
+SCRIPT = ROOT / "examples" / "amazonia1" / "amazonia1_region.py"
+ARGUMENTS = ["--fast", "--runs", "8", "--period", "0.5"]
+
+
+def start(out, *more):
+    """The study in a process of its own."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.Popen(
+        [sys.executable, str(SCRIPT), *ARGUMENTS, "--out", str(out), *more], env=environment, cwd=out.parent,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+    )  # fmt: skip
+
+
+def wait_for(condition, seconds=240.0):
+    """Until it holds."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "nothing was flown in time"
+        time.sleep(0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_what_was_flown_outlives_a_signal(tmp_path, number):
+    out = tmp_path / "out"
+    process = start(out)
+    wait_for(lambda: [*out.glob("runs/lqr/chunks/*.parquet")])
+    process.send_signal(number)
+    told, _ = process.communicate(timeout=240)
+    if number == signal.SIGKILL:
+        assert process.returncode == -signal.SIGKILL
+    else:
+        assert process.returncode == 130
+        assert "interrupted: the report holds what was flown" in told
+        assert "INTERRUPTED" in (out / "report.html").read_text()
+    assert Store(out / "runs" / "lqr").index.tolist() == list(range(8))
+    before = [*out.glob("runs/lqr/chunks/*.parquet")]
+    resumed = start(out, "--resume")
+    told, _ = resumed.communicate(timeout=480)
+    assert resumed.returncode == 0, told
+    assert [*out.glob("runs/lqr/chunks/*.parquet")] == before
+    fresh = tmp_path / "fresh"
+    assert region.main([*ARGUMENTS, "--out", str(fresh)]) == 0
+    with np.load(out / "region.npz") as one, np.load(fresh / "region.npz") as other:
+        for name in other.files:
+            np.testing.assert_array_equal(one[name], other[name])
+
+
+def test_runs_of_an_earlier_start_are_moved_aside_not_removed(tmp_path):
+    runs = tmp_path / "runs"
+    assert move_aside(runs) is None
+    with Store.writing(runs / "lqr", {"study": "s", "runs": 1, "seed": 0, "hashes": {}}, resume=False):
+        with pytest.raises(StoreError, match="another process is flying into it"):
+            move_aside(runs)
+    assert move_aside(runs) == tmp_path / "runs.previous"
+    assert Store(tmp_path / "runs.previous" / "lqr").manifest["study"] == "s"
+    assert not runs.exists()
+
+
+def test_options_of_the_command_line_reach_the_campaigns(tmp_path, capsys, monkeypatch):
+    flown = []
+
+    def fly(found, *_):
+        flown.append(dict(found.flying))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(region, "fly", fly)
+    out = str(tmp_path)
+    assert region.main([*ARGUMENTS, "--out", out, "--workers", "3"]) == 130
+    assert flown[-1] == {"store": tmp_path / "runs", "workers": 3}
+    (tmp_path / "runs").mkdir()
+    assert region.main([*ARGUMENTS, "--out", out, "--scheduler", "tcp://127.0.0.1:8786"]) == 130
+    assert flown[-1]["scheduler"] == "tcp://127.0.0.1:8786"
+    assert "runs of an earlier start are in" in capsys.readouterr().out
+
+    def refuse(found, *_):
+        raise StoreError("store there: another process is flying into it")
+
+    monkeypatch.setattr(region, "fly", refuse)
+    with pytest.raises(SystemExit) as end:
+        region.main([*ARGUMENTS, "--out", out, "--resume"])
+    assert end.value.code == 2
+    assert "error: store there" in capsys.readouterr().err
