@@ -40,16 +40,6 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
 
 
-def only_numbers(name: str, value: Any) -> Any:
-    """Lists of numbers as a file has them, the same; true, false, null, texts and tables are no numbers there."""
-    if isinstance(value, list):
-        for i, item in enumerate(value):
-            only_numbers(f"{name}[{i}]", item)
-    elif isinstance(value, bool) or not isinstance(value, int | float):
-        raise ModelError(f"{name} is {shown(value)}; write a number, or a list of rows of numbers")
-    return value
-
-
 def as_array(
     name: str,
     value: Any,

@@ -10,6 +10,8 @@ SynthError
  └─ ExportError        a sound controller cannot leave in this form, under this name, to this place
 """
 
+MOST = 100  # mistakes in a message
+
 
 class SynthError(Exception):
     """Root of all errors raised by `synth`."""
@@ -20,7 +22,7 @@ class ModelError(SynthError, ValueError):
 
 
 class SpecificationError(ModelError):
-    """A study file has mistakes; the message has all of them, one a line.
+    """A study file has mistakes; the message has all of them, one a line, of very many the first hundred.
 
     Attributes
     ----------
@@ -28,7 +30,8 @@ class SpecificationError(ModelError):
     """
 
     def __init__(self, name: str, problems: list[str]):
-        listed = problems[0] if len(problems) == 1 else "".join(f"\n  {text}" for text in problems)
+        listed = problems[0] if len(problems) == 1 else "".join(f"\n  {text}" for text in problems[:MOST])
+        listed += f"\n  and {len(problems) - MOST} more" if len(problems) > MOST else ""
         count = "" if len(problems) == 1 else f"{len(problems)} mistakes:"
         super().__init__(f"{name}: {count}{listed}")
         self.problems = tuple(problems)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
@@ -56,12 +57,18 @@ def verify(options: argparse.Namespace, load: Load) -> tuple[list[dict[str, Any]
     return data, "\n\n".join(f"{file}\n{text(c)}\n{ending}" for file, c in found.items())
 
 
+def begins(file: str) -> str:
+    """The format that a file names at its beginning, empty if it names none there."""
+    if not Path(file).is_file():
+        return ""
+    with open(file, "rb") as opened:
+        found = re.search(rb'"format": ?"([^"]*)"', opened.read(64))
+    return found[1].decode(errors="replace") if found else ""
+
+
 def is_certificate(file: str) -> bool:
     """True when a file begins as `Certificate.save` writes it."""
-    if not Path(file).is_file():
-        return False
-    with open(file, "rb") as opened:
-        return FORMAT.encode() in opened.read(64)
+    return begins(file) == FORMAT
 
 
 def of_design(file: str, load: Load) -> Design:

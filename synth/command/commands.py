@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import traceback
 from dataclasses import fields
@@ -12,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from synth.command.terminal import say
-from synth.delivery.modelfiles import Model, read
+from synth.command.look import facts, info
+from synth.command.terminal import BAD_INPUT, DONE, MISSED, NO_CONTROLLER, NUMERICAL, load, print_json, say
+from synth.delivery.modelfiles import Model
 from synth.errors import (
     AssumptionError,
     ExportError,
@@ -27,7 +27,6 @@ from synth.regulators.antiwindup import AntiWindup
 from synth.synthesis.design import Design
 from synth.systems.generalized import GeneralizedPlant
 
-DONE, MISSED, BAD_INPUT, NO_CONTROLLER, NUMERICAL = range(5)
 CODES = {
     VerificationError: MISSED,
     AssumptionError: NO_CONTROLLER,
@@ -62,31 +61,6 @@ def run(options: argparse.Namespace) -> int:
         return next((code for kind, code in CODES.items() if isinstance(error, kind)), BAD_INPUT)
 
 
-def load(file: str) -> Design | GeneralizedPlant | Model:
-    """`read` with the file's name in front of what is wrong."""
-    try:
-        return read(file)
-    except SynthError as error:
-        error.args = (f"{file}: {error}",)
-        raise
-
-
-def print_json(value: Any) -> None:
-    """JSON without infinite numbers, which become null."""
-    print(json.dumps(finite(value), indent=1, allow_nan=False))
-
-
-def finite(value: Any) -> Any:
-    """The value with null in the place of what JSON cannot say."""
-    if isinstance(value, dict):
-        return {key: finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(item) for item in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    return value
-
-
 def table(rows: list[list[str]]) -> str:
     """Rows in aligned columns, the first one a heading."""
     widths = [max(len(row[j]) for row in rows) for j in range(len(rows[0]))]
@@ -99,78 +73,6 @@ def number(value: float | None) -> str:
     if value is True:  # a sampling time
         return "unspecified"
     return "-" if value is None or np.isnan(value) else f"{value:.5g}"
-
-
-def info(options: argparse.Namespace) -> int:
-    """`synth info`."""
-    from synth.command.certificates import claims, is_certificate
-
-    found = [{"file": file, **(claims(file) if is_certificate(file) else facts(load(file)))} for file in options.files]
-    if options.json:
-        print_json(found)
-        return DONE
-    for i, item in enumerate(found):
-        say(("\n" if i else "") + item.pop("file"))
-        for key, value in item.items():
-            if isinstance(value, dict):
-                value = ", ".join(f"{k} {v}" for k, v in value.items())
-            elif isinstance(value, list):
-                value = ", ".join(map(str, value)) or "none"
-            told = format(value, ".9g") if isinstance(value, float) else str(value).replace("\n", "\\n")
-            say(f"  {key.replace('_', ' '):18} {told}")
-    return DONE
-
-
-def facts(item: Design | GeneralizedPlant | Model) -> dict[str, Any]:
-    """What is to be said about a file."""
-    if isinstance(item, Model):
-        G = item.system
-        signals: dict[str, Any] = {key: labels(getattr(item, key), item.units) for key in ("u", "y")}
-        if item.limited:
-            signals |= {"umin": item.limited.umin.tolist(), "umax": item.limited.umax.tolist()}
-        told = {"warnings": list(item.warnings)} if item.warnings else {}
-        return {"kind": "system", "order": G.n, **timebase(G.dt), **signals, "sha256": G.digest(), **told}
-    if isinstance(item, GeneralizedPlant):
-        signals = {key: labels(getattr(item, key), item.units) for key in "wuzy"}
-        sha256 = item.system.digest()
-        return {"kind": "generalised plant", "order": item.sizes[0], **timebase(item.dt), **signals, "sha256": sha256}
-    P, K, about = item.plant, item.controller, item.info
-    data: dict[str, Any] = {"kind": "loop-shaping design" if item.shaping else "design", "order": K.n}
-    data |= timebase(K.dt)
-    if item.shaping:  # y and u of the plant are those of the shaped plant
-        data |= {"measurements": [f"y{i}" for i in range(K.nu)], "controls": [f"u{i}" for i in range(K.ny)]}
-    else:
-        data |= {"measurements": labels(P.y, P.units), "controls": labels(P.u, P.units)}
-    data |= {
-        "plant_order": P.sizes[0],
-        "exogenous": labels(P.w, P.units),
-        "regulated": labels(P.z, P.units),
-        "gamma": item.gamma,
-        "verified_norm": item.verified_norm,
-        "optimum": about.optimum,
-        "peak_frequency": about.frequency,
-        "spectral_radius" if P.dt else "largest_real_part": about.spectral_radius,
-        "method": about.method,
-        "solver": about.solver,
-        "status": about.status,
-        "warnings": list(item.warnings),
-        "date": about.date,
-        "versions": dict(about.versions),
-        "controller_sha256": K.digest(),
-        "plant_sha256": P.system.digest(),
-    }
-    return data
-
-
-def labels(names: tuple[str, ...], units: Any) -> list[str]:
-    """Names with their units."""
-    return [f"{name} [{units[name]}]" if name in units else name for name in names]
-
-
-def timebase(dt: float) -> dict[str, Any]:
-    """The sampling time, and in words."""
-    every = "at an unspecified sampling time" if dt is True else f"every {dt:g} s"
-    return {"dt": dt, "time": f"discrete, {every}" if dt else "continuous"}
 
 
 def verify(options: argparse.Namespace) -> int:

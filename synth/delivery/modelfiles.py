@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from synth.checks import as_limits, as_matrix, as_path, only_numbers, shown
+from synth.checks import as_limits, as_matrix, as_path, shown
 from synth.delivery.matfiles import read_mat
 from synth.errors import ModelError
 from synth.files import SEAL, check_seal, read_json, write_atomically
@@ -41,7 +41,7 @@ CONTROLLER_VERSION = 2
 UNSEALED = "read from a file of format version 1, which has no sha256 of all of it"
 NINE = tuple(f.name for f in fields(GeneralizedPlant))[:9]  # A, B1, ..., D22
 FRACTIONS = (("num", "den"), ("zeros", "poles", "gain"))  # instead of A, B, C, D
-LABELS = ("w", "u", "z", "y", "units")
+LABELS = ("w", "u", "z", "y")
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,28 @@ def read(path: str | os.PathLike[str]) -> Design | GeneralizedPlant | Model:
             f"format_version is {shown(version)}, this release reads {' and '.join(map(str, range(1, last + 1)))}; "
             "read the file with the release that wrote it"
         )
-    return _controller(data) if kind == CONTROLLER else as_model(data)
+    return _controller(data) if kind == CONTROLLER else as_model(checked(data))
+
+
+def checked(data: dict[str, Any]) -> dict[str, Any]:
+    """The data of a system or controller as its file has it, if it is as `synth.schemas` says."""
+    from synth import schemas
+
+    form, _ = _form(data)
+    kinds = {"B1": schemas.PlantFile, "num": schemas.PolynomialFile, "zeros": schemas.RootsFile}
+    kind = schemas.ControllerFile if data["format"] == CONTROLLER else kinds.get(form, schemas.SystemFile)
+    schemas.check(kind, data, "the system is damaged")
+    return data
+
+
+def _form(data: dict[str, Any]) -> tuple[str, tuple[str, ...]]:
+    """What tells the form of a system, "A", "B1", "num" or "zeros", and the keys that it needs, which are there."""
+    forms = {keys[0]: keys for keys in FRACTIONS if any(key in data for key in keys)}
+    form = "B1" if "B1" in data else next(iter(forms), "A")
+    needed = (*(NINE if form == "B1" else forms.get(form, tuple("ABCD"))), "dt")
+    if missing := [name for name in needed if name not in data]:
+        raise ModelError(f"the system has no {', '.join(missing)}; it needs {', '.join(needed)}")
+    return form, needed
 
 
 def _controller(data: dict[str, Any]) -> Model:
@@ -104,9 +125,10 @@ def _controller(data: dict[str, Any]) -> Model:
         check_seal(data)
     elif SEAL in data:
         raise ModelError(f"it has format version 1 and a {SEAL}: one of them was changed")
-    found = as_model(data)
-    if not isinstance(found, Model):
+    if "B1" in data:
         raise ModelError("it has the matrices of a generalised plant, which is no controller")
+    found = as_model(checked(data))
+    assert isinstance(found, Model)
     own = f"sha256 {found.system.digest()}"
     if data.get("controller", own) != own:
         raise ModelError("its matrices are not those whose sha256 it tells: one of them was changed")
@@ -115,25 +137,14 @@ def _controller(data: dict[str, Any]) -> Model:
 
 def as_model(data: dict[str, Any]) -> GeneralizedPlant | Model:
     """A system from plain data: matrices, `dt`, names and units."""
-    nine = "B1" in data
-    form = next((keys for keys in FRACTIONS if any(key in data for key in keys)), None) if not nine else None
-    needed = (*(NINE if nine else form or tuple("ABCD")), "dt")
-    if missing := [name for name in needed if name not in data]:
-        raise ModelError(f"the system has no {', '.join(missing)}; it needs {', '.join(needed)}")
-    labels = {key: data[key] for key in LABELS if key in data}
-    for key, value in labels.items():
-        if not isinstance(value, dict if key == "units" else list):
-            raise ModelError(
-                f"{key} is {shown(value)}; pass {'names and units' if key == 'units' else 'a list of names'}"
-            )
-    loose = ("dt", *(form or ()))
-    matrices: dict[str, Any] = {name: data[name] if name in loose else _matrix(name, data[name]) for name in needed}
-    names: dict[str, Any] = {key: tuple(value) for key, value in labels.items() if key != "units"}
-    units = dict(labels.get("units", {}))
+    form, needed = _form(data)
+    parts: dict[str, Any] = {name: data[name] for name in needed}
+    names: dict[str, Any] = {key: tuple(data[key]) for key in LABELS if key in data}
+    units = dict(data.get("units", {}))
     try:
-        if nine:
-            return GeneralizedPlant(**matrices, **names, units=units)
-        system = as_system("the system", matrices) if form else StateSpace(**matrices)
+        if form == "B1":
+            return GeneralizedPlant(**parts, **names, units=units)
+        system = StateSpace(**parts) if form == "A" else as_system("the system", parts)
         if "delay" in data:
             system = input_delay(system, data["delay"])
         return Model(system, names.get("u", ()), names.get("y", ()), units, _limited(data, system))
@@ -149,20 +160,12 @@ def _limited(data: dict[str, Any], K: StateSpace) -> AntiWindup | None:
         return None
     if missing := [name for name in ("umin", "umax") if not isinstance(data.get(name), list)]:
         raise ModelError(f"the controller has L but no list {', '.join(missing)}; list a limit or null per command")
-    L = as_matrix("L", only_numbers("L", data["L"]), (K.n, K.ny)) if K.n else np.zeros((0, K.ny))
+    L = as_matrix("L", data["L"], (K.n, K.ny)) if K.n else np.zeros((0, K.ny))
     umin, umax = (
         as_limits(name, [free if limit is None else limit for limit in data[name]], K.ny)
         for name, free in (("umin", -np.inf), ("umax", np.inf))
     )
     return AntiWindup(K.A, K.B, K.C, K.D, L, umin, umax, K.dt)
-
-
-def _matrix(name: str, value: Any) -> Any:
-    """A matrix, or what stands for one without rows or columns."""
-    if isinstance(value, np.ndarray):
-        return as_matrix(name, value) if value.size else value
-    only_numbers(name, value)
-    return value if isinstance(value, list) and all(row == [] for row in value) else as_matrix(name, value)
 
 
 def save_system(path: str | os.PathLike[str], model: Model | StateSpace | GeneralizedPlant) -> Path:
@@ -182,7 +185,7 @@ def save_system(path: str | os.PathLike[str], model: Model | StateSpace | Genera
     source = model if nine else model.system
     data: dict[str, Any] = {"format": SYSTEM, "format_version": FORMAT_VERSION, "dt": source.dt}
     data |= {name: getattr(source, name).tolist() for name in (NINE if nine else "ABCD")}
-    data |= {key: getattr(model, key) for key in (LABELS if nine else ("u", "y", "units"))}
+    data |= {key: getattr(model, key) for key in ((*LABELS, "units") if nine else ("u", "y", "units"))}
     return write_atomically(path, json.dumps(data, indent=1, allow_nan=False).encode())
 
 

@@ -3,7 +3,8 @@
     minimise v'P v/2 + f'v   subject to   lower <= [v; A v] <= upper,   [f; upper] = offset + slope phi
 
 phi stacks the parameters of the step in the order of `parameters`; the first m entries of v times `unit` are the
-command. Limits that are not there are missing (null) in JSON and infinite in .mat.
+command. Limits that are not there are missing (null) in JSON and infinite in .mat. The JSON file has a sha256 of all
+of it, and `load_mpc` reads it back as the arrays of `document`.
 """
 
 from __future__ import annotations
@@ -12,15 +13,22 @@ import io
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.io
 
+from synth.checks import as_path
 from synth.errors import ModelError
-from synth.files import provenance, write_atomically
-from synth.predictive.horizon import Mpc
+from synth.files import PARTS, SEAL, check_seal, provenance, read_json, sealed_by_parts, write_atomically
+from synth.systems.statespace import StateSpace
 
+if TYPE_CHECKING:
+    from synth.predictive.horizon import Mpc
+
+FORMAT = "convex-synth mpc"
+FORMAT_VERSION = 2
+LOWEST = ("umin", "ymin", "lower")  # limits that are -inf where there is none
 FREE = 1e20  # a limit beyond this is none
 
 
@@ -31,15 +39,61 @@ def save_mpc(controller: Mpc, path: str | os.PathLike[str]) -> Path:
     ------
     ModelError : the file name ends otherwise.
     """
-    path = Path(path)
+    path = as_path("path", path)
     content = document(controller)
     if path.suffix == ".json":
-        return write_atomically(path, json.dumps(jsonable(content), indent=1, allow_nan=False).encode())
+        data = sealed_by_parts(jsonable(content))
+        return write_atomically(path, json.dumps(data, indent=1, allow_nan=False).encode())
     if path.suffix == ".mat":
         buffer = io.BytesIO()
         scipy.io.savemat(buffer, {"mpc": content}, oned_as="column", long_field_names=True)
         return write_atomically(path, buffer.getvalue())
     raise ModelError(f"path ends with {path.suffix!r}; a predictive controller is saved as .json or .mat")
+
+
+def load_mpc(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Settings, model and program in a ``.json`` file of `save_mpc`, as `document` has them.
+
+    Raises
+    ------
+    ModelError : the file is none, is incomplete, or was changed since it was written; the fields are named.
+    """
+    path = as_path("path", path)
+    try:
+        return from_dict(read_json(path))
+    except ModelError as error:
+        raise ModelError(f"path {path.name!r}: {error}; pass what save_mpc wrote") from None
+
+
+def from_dict(data: Any) -> dict[str, Any]:
+    """The inverse of `jsonable` for such a file, checked."""
+    from synth import schemas
+
+    version = data.get("format_version") if isinstance(data, dict) and data.get("format") == FORMAT else None
+    if isinstance(version, bool) or version not in (1, FORMAT_VERSION):
+        raise ModelError(f"the data is no {FORMAT} of format version 1 or {FORMAT_VERSION}")
+    if version == FORMAT_VERSION:
+        check_seal(data)
+    schemas.check(schemas.SealedMpcFile if version == FORMAT_VERSION else schemas.MpcFile, data, "it is damaged")
+    found = {key: value for key, value in data.items() if key not in (SEAL, PARTS)}
+    try:
+        model = StateSpace(**data["model"], dt=data["dt"])
+        arrays = {key: _arrays(found[key]) for key in ("settings", "model", "unit", "parameters", "qp")}
+    except ValueError as error:  # rows of different length
+        raise ModelError(f"it is damaged: {error}") from None
+    if model.digest() != data["model_sha256"]:
+        raise ModelError("model_sha256 does not belong to the model in the file: one of them was changed")
+    return found | arrays
+
+
+def _arrays(value: Any, key: str = "") -> Any:
+    """Lists as arrays, None as no limit."""
+    if isinstance(value, dict):
+        return {name: _arrays(item, name) for name, item in value.items()}
+    if isinstance(value, list):
+        free = -np.inf if key in LOWEST else np.inf
+        return np.array([free if item is None else item for item in value], dtype=float)
+    return value
 
 
 def document(controller: Mpc) -> dict[str, Any]:
@@ -49,8 +103,8 @@ def document(controller: Mpc) -> dict[str, Any]:
     settings = {name: getattr(p, name) for name in ("Q", "R", "terminal", "umin", "umax", "ymin", "ymax", "hmax")}
     settings |= {name: float(getattr(p, name)) for name in ("Np", "Nc", "delay", "penalty")}
     return {
-        "format": "convex-synth mpc",
-        "format_version": 1.0,
+        "format": FORMAT,
+        "format_version": float(FORMAT_VERSION),
         "form": p.form,
         "dt": float(controller.dt),
         "model": {name: getattr(p.model, name) for name in "ABCD"},

@@ -19,7 +19,7 @@ import numpy as np
 
 from synth.analysis.norms import judge
 from synth.analysis.stabilitymargins import Margins, margins
-from synth.checks import as_number, as_path, only_numbers, printable, timebase_told
+from synth.checks import as_path, printable, timebase_told
 from synth.errors import ModelError, SynthError, VerificationError
 from synth.files import PARTS, SEAL, check_seal, read_json, sealed_by_parts, write_atomically
 from synth.synthesis import info as infos
@@ -41,10 +41,6 @@ ROUNDING = 1e-12  # relative agreement of a controller in a file with the produc
 INFINITE = 1e6  # a continuous peak so many times faster than every pole is one of the direct term
 REMEASURE = 1e-5  # relative agreement of the norm in a file with the norm measured when it is read
 POLES = 1e-3  # likewise of the spectral radius, to the largest pole: fivefold poles move so far between two machines
-KEYS = {
-    "format", "format_version", "convention", "controller", "dt", "gamma", "verified_norm", "plant", "plant_sha256",
-    "info", "shaping",
-}  # fmt: skip
 UNSEALED = "read from a file of format version {}, which has no sha256 of all of it; the norm was measured again"
 
 
@@ -228,13 +224,17 @@ def to_dict(design: Design) -> dict[str, Any]:
         "dt": design.plant.dt,
         "gamma": design.gamma,
         "verified_norm": design.verified_norm,
-        "plant": {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in plant.items()},
+        "plant": {k: v.tolist() if isinstance(v, np.ndarray) else _plain(v) for k, v in plant.items()},
         "plant_sha256": design.plant.system.digest(),
         "info": infos.to_dict(design.info),
     }
     if design.shaping is not None:
         data["shaping"] = {name: _system_to_dict(getattr(design.shaping, name)) for name in SHAPING}
     return sealed_by_parts(data)
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
 
 
 def json_bytes(design: Design) -> bytes:
@@ -247,11 +247,16 @@ def _system_to_dict(G: StateSpace) -> dict[str, Any]:
 
 
 def _system_from_dict(name: str, data: Any, dt: Any) -> StateSpace:
-    return StateSpace(**{key: only_numbers(f"{name}.{key}", data[key]) for key in "ABCD"}, dt=dt)
+    try:
+        return StateSpace(**data, dt=dt)
+    except ModelError as error:
+        raise ModelError(f"the design is incomplete or damaged: {name}: {error}") from None
 
 
 def from_dict(data: Any) -> Design:
     """The inverse of `to_dict`, checked."""
+    from synth import schemas
+
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise ModelError(f"the data is no design: its format is not {FORMAT!r}; pass what Design.save wrote")
     version = data.get("format_version")
@@ -262,23 +267,22 @@ def from_dict(data: Any) -> Design:
         )
     if version == FORMAT_VERSION:
         check_seal(data)
-    if unknown := sorted(data.keys() - KEYS - ({SEAL, PARTS} if version == FORMAT_VERSION else set())):
-        raise ModelError(f"the design has {', '.join(unknown)[:60]}, which no design of format version {version} has")
+    elif seals := sorted({SEAL, PARTS} & data.keys()):
+        raise ModelError(f"the design has {', '.join(seals)}, which no design of format version {version} has")
     if version == 1:
         data = _of_version_1(data)
+    kind = schemas.SealedDesign if version == FORMAT_VERSION else schemas.Design
+    schemas.check(kind, data, "the design is incomplete or damaged")
     try:
-        nine = {key: only_numbers(f"plant.{key}", v) if key[0] in "ABCD" else v for key, v in data["plant"].items()}
-        plant = GeneralizedPlant(**nine)
-        controller = _system_from_dict("controller", data["controller"], data["dt"])
-        info = infos.from_dict(data["info"])
-        parts, dt = data.get("shaping"), data["dt"]
-        shaping = None if parts is None else Shaping(*(_system_from_dict(k, parts[k], dt) for k in SHAPING))
-        wanted = "the finite norm of a design: the file is damaged"
-        gamma, norm = (as_number(name, data[name], wanted) for name in ("gamma", "verified_norm"))
-        digest = data["plant_sha256"]
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ModelError(f"the design is incomplete or damaged: {error}") from None
-    if plant.system.digest() != digest:
+        plant = GeneralizedPlant(**data["plant"])
+    except ModelError as error:
+        raise ModelError(f"the design is incomplete or damaged: plant: {error}") from None
+    controller = _system_from_dict("controller", data["controller"], data["dt"])
+    info = infos.from_dict(data["info"])
+    parts, dt = data.get("shaping"), data["dt"]
+    shaping = None if parts is None else Shaping(*(_system_from_dict(k, parts[k], dt) for k in SHAPING))
+    gamma, norm = data["gamma"], data["verified_norm"]
+    if plant.system.digest() != data["plant_sha256"]:
         raise ModelError("plant_sha256 does not belong to the plant in the file: one of them was changed")
     if shaping and not _equal(shaping.controller, controller):
         raise ModelError("controller is not the W1 Ks W2 of the shaping in the file: one of them was changed")
@@ -300,14 +304,12 @@ def from_dict(data: Any) -> Design:
 
 def _of_version_1(data: Mapping[str, Any]) -> dict[str, Any]:
     """A file of version 1, in which `gamma` was the solver's claim, or the level that was asked for."""
-    try:
-        info = dict(data["info"])
-        optimum = info.pop("gamma_min", None)
-        shaped = data.get("shaping") is not None
-        info |= {"optimum": optimum if shaped else data["gamma"], "slowest": float("nan"), "warnings": ()}
-        return {**data, "gamma": data["verified_norm"], "info": info}
-    except (KeyError, TypeError, ValueError) as error:
-        raise ModelError(f"the design is incomplete or damaged: {error}") from None
+    info = data.get("info")
+    if not isinstance(info, dict) or not {"gamma", "verified_norm"} <= data.keys():
+        return dict(data)  # whose mistakes are told together
+    own = {key: value for key, value in info.items() if key != "gamma_min"}
+    optimum = info.get("gamma_min") if data.get("shaping") is not None else data["gamma"]
+    return {**data, "gamma": data["verified_norm"], "info": own | {"optimum": optimum, "slowest": "nan"}}
 
 
 def _equal(G: StateSpace, H: StateSpace) -> bool:

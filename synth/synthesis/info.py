@@ -8,9 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from synth.checks import shown
-from synth.errors import ModelError
-
 
 @dataclass(frozen=True)
 class Info:
@@ -34,39 +31,17 @@ class Info:
     shifted_norm: float | None = None  # verified norm of the shifted problem, to which the optimum then belongs
 
 
-SIGNED = ("spectral_radius", "slowest")  # the other numbers are not negative
-OPTIONAL = ("optimum", "shifted_norm")
-
-
 def to_dict(info: Info) -> dict[str, Any]:
     """As plain data; a number that JSON has no word for is in Python's words: a loop without poles decays with inf."""
     return {
         key: repr(value) if isinstance(value, float) and not np.isfinite(value) else value
-        for key, value in asdict(info).items()
+        for key, value in (asdict(info) | {"warnings": list(info.warnings)}).items()
     }
 
 
-def from_dict(data: Any) -> Info:
-    """The inverse of `to_dict`; raises ModelError for what no design says of itself."""
-    if not isinstance(data, dict):
-        raise ModelError(f"info is {shown(data)}; a design has a table there")
-    kinds = {f.name: str(f.type) for f in fields(Info)}
-    if unknown := sorted(data.keys() - kinds.keys()):
-        raise ModelError(f"info has {', '.join(map(shown, unknown))}, which this release does not know")
-    return Info(**{key: _field(key, kinds[key], value) for key, value in data.items()})
-
-
-def _field(key: str, kind: str, value: Any) -> Any:
-    if kind == "str" and isinstance(value, str):
-        return value
-    if kind.startswith("Mapping") and isinstance(value, dict) and all(isinstance(v, str) for v in value.values()):
-        return value
-    if kind.startswith("tuple") and isinstance(value, list | tuple) and all(isinstance(v, str) for v in value):
-        return tuple(value)
-    if kind.startswith("float"):
-        number = float(value) if isinstance(value, str) and value in ("inf", "-inf", "nan") else value
-        if number is None and key in OPTIONAL:
-            return None
-        if isinstance(number, int | float) and not isinstance(number, bool) and (key in SIGNED or not number < 0):
-            return number
-    raise ModelError(f"info.{key} is {shown(value)}, which no design has")
+def from_dict(data: Mapping[str, Any]) -> Info:
+    """The inverse of `to_dict`, of what `synth.schemas.Info` has seen."""
+    numbers = {f.name for f in fields(Info) if str(f.type).startswith("float")}
+    found: dict[str, Any] = {k: float(v) if k in numbers and isinstance(v, str) else v for k, v in data.items()}
+    found["warnings"] = tuple(found.get("warnings", ()))
+    return Info(**found)

@@ -249,7 +249,7 @@ def test_file_keeps_every_bit_of_the_witnesses(design, certificate, tmp_path):
         (lambda d: d.update(bits=2), "bits is 2"),
         (lambda d: d["upper_witness"].update(T=[[1.0], [2.0, 3.0]]), "incomplete or damaged"),
         (lambda d: d["lower_witness"].update(end={}), "incomplete or damaged"),
-        (lambda d: d["lower_witness"]["end"].update(v=[[1.0]]), "v has 2 dimensions"),
+        (lambda d: d["lower_witness"]["end"].update(v=[[1.0]]), r"end\.v\[0\] is \[1\.0\]; a number belongs there"),
     ],
 )
 def test_a_damaged_file_is_named(certificate, tmp_path, change, message):

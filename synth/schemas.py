@@ -1,0 +1,422 @@
+"""What the files of this package hold, a class for each format: kinds, bounds and names, not what they mean together.
+
+`mistakes` tells all that is wrong at once, each with its place. Rows of numbers tell their first mistake. This module
+takes a tenth of a second to import: readers import it when they read.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Literal, NamedTuple, get_args
+
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
+
+from synth.checks import shown
+from synth.errors import MOST, ModelError
+
+
+class Record(BaseModel):
+    """A table with these fields and no others; nothing is converted, and numbers are finite."""
+
+    model_config = ConfigDict(
+        strict=True, extra="forbid", allow_inf_nan=False, protected_namespaces=(), defer_build=True
+    )
+
+
+def _is_flag(value: Any) -> str:
+    return "<flag>" if value is True else "<number>"
+
+
+def _is_word(value: Any) -> str:
+    return "<word>" if isinstance(value, str) else "<number>"
+
+
+def _end(value: Any) -> str:
+    keys = value if isinstance(value, dict) else ()
+    return "<coupling>" if "shift" in keys else "<fall>" if "v" in keys else "<impulse>"
+
+
+NotNegative = Annotated[float, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0)]
+Row = Annotated[list[float], Field(fail_fast=True)]
+Matrix = Annotated[list[Row], Field(fail_fast=True)]
+Names = Annotated[list[str], Field(fail_fast=True)]
+Limits = Annotated[list[float | None], Field(fail_fast=True)]
+Flag = Annotated[Literal[True], Tag("<flag>")]  # tags are what no key of a file is
+Word = Annotated[Literal["inf", "-inf", "nan"], Tag("<word>")]  # numbers that JSON has no word for
+Timebase = Annotated[Flag | Annotated[NotNegative, Tag("<number>")], Discriminator(_is_flag)]
+Measured = Annotated[Word | Annotated[float, Tag("<number>")], Discriminator(_is_word)]
+Size = Annotated[Word | Annotated[NotNegative, Tag("<number>")], Discriminator(_is_word)]
+
+
+class System(Record):
+    """Matrices of a system."""
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+
+
+class TimedSystem(System):
+    """A system that says its timebase."""
+
+    dt: Timebase
+
+
+class Plant(Record):
+    """Matrices of a generalised plant."""
+
+    A: Matrix
+    B1: Matrix
+    B2: Matrix
+    C1: Matrix
+    D11: Matrix
+    D12: Matrix
+    C2: Matrix
+    D21: Matrix
+    D22: Matrix
+    dt: Timebase
+
+
+class NamedPlant(Plant):
+    """The same with the names and units of its channels."""
+
+    w: Names = []
+    u: Names = []
+    z: Names = []
+    y: Names = []
+    units: dict[str, str] = {}
+
+
+class Info(Record):
+    """How a design came about; see `synth.synthesis.info.Info`."""
+
+    method: str
+    status: str
+    level: Size
+    optimum: Size | None
+    spectral_radius: Measured
+    slowest: Measured
+    frequency: Size
+    seconds: Size
+    solver: str
+    tolerance: Size
+    failures: dict[str, str]
+    versions: dict[str, str]
+    date: str
+    warnings: Names = []
+    shift: Size = 0.0
+    shifted_norm: Size | None = None
+
+
+class Shaping(Record):
+    """Parts of a loop-shaping controller."""
+
+    W1: System
+    W2: System
+    Ks: System
+
+
+class Design(Record):
+    """`synth.synthesis.design`, format version 2; version 1 is brought to it first."""
+
+    format: Literal["convex-synth design"]
+    format_version: int
+    convention: str = ""
+    controller: System
+    dt: Timebase
+    gamma: float
+    verified_norm: float
+    plant: NamedPlant
+    plant_sha256: str
+    info: Info
+    shaping: Shaping | None = None
+
+
+class SealedDesign(Design):
+    """Format version 3."""
+
+    sha256: str
+    parts_sha256: dict[str, str]
+
+
+class _Signals(Record):
+    """The head of the files of systems, and what their signals are called."""
+
+    format: str
+    format_version: float
+    u: Names = []
+    y: Names = []
+    units: dict[str, str] = {}
+    description: str = ""
+    delay: Any = 0.0  # s, a number or one for each input, which `input_delay` checks
+
+
+class SystemFile(TimedSystem, _Signals):
+    """A plant or controller in matrices."""
+
+
+class PolynomialFile(_Signals):
+    """A transfer matrix, whose nesting `synth.system` checks."""
+
+    dt: Timebase
+    num: Any
+    den: Any
+
+
+class RootsFile(_Signals):
+    """Zeros, poles and gain of one channel, complex ones as texts."""
+
+    dt: Timebase
+    zeros: Any
+    poles: Any
+    gain: float
+
+
+class PlantFile(NamedPlant):
+    """A generalised plant."""
+
+    format: str
+    format_version: float
+    description: str = ""
+
+
+class ControllerFile(SystemFile):
+    """A controller as `export` writes it, with limits or without; facts about it are texts."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, str]
+    sha256: str = ""  # both not in version 1
+    parts_sha256: dict[str, str] = {}
+    L: Matrix | None = None
+    umin: Limits | None = None
+    umax: Limits | None = None
+
+
+class UpperWitness(Record):
+    """See `synth.proof.balls`."""
+
+    T: Matrix
+    U: Matrix
+    rest: Matrix = []  # not in version 1, as below
+    factor: Matrix
+    rate: float
+
+
+class Step(Record):
+    """See `synth.proof.balls`."""
+
+    F: Matrix
+    X: Matrix
+    rest: Matrix = []
+    before: Matrix
+    after: Matrix
+
+
+class Coupling(Record):
+    """See `synth.proof.balls`."""
+
+    v: Row
+    shift: float
+    factor: Matrix
+
+
+class Fall(Record):
+    """See `synth.proof.balls`."""
+
+    v: Row
+    dual: bool
+
+
+class Impulse(Record):
+    """See `synth.proof.balls`."""
+
+    w: Row
+    dual: bool
+    factor: Matrix
+
+
+class LowerWitness(Record):
+    """See `synth.proof.balls`."""
+
+    T: Matrix
+    w: float
+    z: float
+    rate: float
+    control: Annotated[list[Step], Field(fail_fast=True)]
+    estimation: Annotated[list[Step], Field(fail_fast=True)]
+    end: Annotated[
+        Annotated[Coupling, Tag("<coupling>")] | Annotated[Fall, Tag("<fall>")] | Annotated[Impulse, Tag("<impulse>")],
+        Discriminator(_end),
+    ]
+    doubled: Annotated[list[Annotated[int, Field(ge=0, le=64)]], Field(min_length=2, max_length=2)] = [0, 0]
+
+
+class Certificate(Record):
+    """`synth.proof.certify`, format version 1."""
+
+    format: Literal["convex-synth certificate"]
+    format_version: int
+    statement: str = ""
+    lower: float
+    upper: float
+    bits: Annotated[int, Field(ge=53, le=4096)]
+    plant_sha256: str
+    controller_sha256: str
+    seconds: float
+    note: str
+    upper_witness: UpperWitness
+    lower_witness: LowerWitness | None
+
+
+class SealedCertificate(Certificate):
+    """Format version 2, which can be proved from its file alone."""
+
+    plant: Plant
+    controller: TimedSystem
+    sha256: str
+
+
+class MpcSettings(Record):
+    """Weights, horizons and limits of a predictive controller; null where there is no limit."""
+
+    Q: Matrix
+    R: Matrix
+    terminal: Matrix
+    umin: Limits
+    umax: Limits
+    ymin: Limits
+    ymax: Limits
+    hmax: Limits
+    Np: Positive
+    Nc: Positive
+    delay: NotNegative
+    penalty: NotNegative
+
+
+class Program(Record):
+    """A quadratic program in parameters."""
+
+    P: Matrix
+    A: Matrix
+    lower: Limits
+    offset: Limits
+    slope: Matrix
+
+
+class MpcFile(Record):
+    """`synth.delivery.qp`, format version 1."""
+
+    format: Literal["convex-synth mpc"]
+    format_version: float
+    form: Literal["velocity", "position"]
+    dt: Positive
+    model: System
+    model_sha256: str
+    settings: MpcSettings
+    unit: Row
+    parameters: dict[str, Row]
+    qp: Program
+    versions: str
+    date: str
+
+
+class SealedMpcFile(MpcFile):
+    """Format version 2."""
+
+    sha256: str
+    parts_sha256: dict[str, str]
+
+
+class Mistake(NamedTuple):
+    """One value that a file may not hold."""
+
+    place: str  # such as plant.A[1][0]
+    key: str  # of the table, at the beginning of the place
+    kind: str  # "missing", "unknown" or what is wrong
+    wanted: str  # what belongs there; of an unknown key the one that was meant
+    value: Any
+
+    def __str__(self) -> str:
+        if self.kind == "missing":
+            return f"{self.place}: missing{self.wanted and f'; {self.wanted}'}"
+        if self.kind == "unknown":
+            return f"{self.place}: unknown{self.wanted}"
+        return f"{self.place} is {shown(self.value)}; {self.wanted} belongs there"
+
+
+WANTED: dict[str, str] = {
+    "float_type": "a number", "int_type": "a whole number", "int_from_float": "a whole number",
+    "string_type": "text", "bool_type": "true or false", "list_type": "a list", "dict_type": "a table",
+    "model_type": "a table", "model_attributes_type": "a table", "finite_number": "a finite number",
+}  # fmt: skip
+
+
+def mistakes(kind: type[Record], data: Any, path: str = "") -> list[Mistake]:
+    """All that is wrong with a table of a file; `path` is where it stands."""
+    try:
+        kind.model_validate(data)
+    except ValidationError as error:
+        found = error.errors(include_url=False)
+    else:
+        return []
+    return [_mistake(kind, entry, path) for entry in found]
+
+
+def check(kind: type[Record], data: Any, what: str) -> None:
+    """Raise ModelError with all that is wrong, of very much the beginning, on one line; `what` begins it."""
+    if found := mistakes(kind, data):
+        more = f"; and {len(found) - MOST} more mistakes" if len(found) > MOST else ""
+        raise ModelError(f"{what}: {'; '.join(map(str, found[:MOST]))}{more}")
+
+
+def _mistake(kind: type[Record], entry: Mapping[str, Any], path: str) -> Mistake:
+    """An error of the validator in our words."""
+    keys = [key for key in entry["loc"] if not (isinstance(key, str) and key.startswith("<") and key.endswith(">"))]
+    place = path
+    for key in keys:
+        place = f"{place}[{key}]" if isinstance(key, int) else f"{place}.{key}" if place else str(key)
+    what, limits, value = entry["type"], entry.get("ctx", {}), entry["input"]
+    first = str(keys[0]) if keys else ""
+    if what == "missing":
+        return Mistake(place, first, what, _described(kind, keys), None)
+    if what == "extra_forbidden":
+        return Mistake(place, first, "unknown", hint(str(keys[-1]), _known(kind, keys[:-1])), value)
+    for name, words in (("gt", "above"), ("ge", "at least"), ("le", "at most")):
+        if name in limits:
+            return Mistake(place, first, f"{words} {limits[name]:g}", f"a number {words} {limits[name]:g}", value)
+    if "<word>" in entry["loc"]:
+        return Mistake(place, first, what, "a number", value)
+    if what == "literal_error":
+        return Mistake(place, first, what, f"one of {limits['expected']}".replace("'", ""), value)
+    return Mistake(place, first, what, WANTED.get(what, str(entry["msg"]).lower()), value)
+
+
+def hint(word: str, known: Iterator[str] | list[str]) -> str:
+    """The known word that was meant, perhaps."""
+    near = difflib.get_close_matches(word, list(known), 1, cutoff=0.5)
+    return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def _described(kind: type[Record], keys: list[Any]) -> str:
+    """What a field of the table itself says of itself."""
+    return (kind.model_fields[keys[0]].description or "") if len(keys) == 1 and keys[0] in kind.model_fields else ""
+
+
+def _known(kind: type[Record], keys: list[Any]) -> list[str]:
+    """Names of the fields at a place."""
+    kinds: list[Any] = [kind]
+    for key in keys:
+        inner = [k.model_fields[key] for k in kinds if key in k.model_fields]
+        kinds = [k for field in inner for k in _records((field.annotation, *field.metadata))] or kinds
+    return [name for k in kinds for name in k.model_fields]
+
+
+def _records(annotation: Any) -> Iterator[type[Record]]:
+    """The tables that a value may be."""
+    if isinstance(annotation, type) and issubclass(annotation, Record):
+        yield annotation
+    for inner in annotation if isinstance(annotation, tuple) else get_args(annotation):
+        yield from _records(inner)
