@@ -33,6 +33,9 @@ if TYPE_CHECKING:
     from synth.delivery.frequencyplots import nyquist as nyquist
     from synth.delivery.frequencyplots import sigma as sigma
     from synth.delivery.marginplots import diskmarginplot as diskmarginplot
+    from synth.delivery.signatures import keygen as keygen
+    from synth.delivery.signatures import sign as sign
+    from synth.delivery.signatures import verify_signature as verify_signature
     from synth.delivery.timeplots import impulse as impulse
     from synth.delivery.timeplots import pzmap as pzmap
     from synth.delivery.timeplots import step as step
@@ -146,6 +149,7 @@ _HOME = {
     "hinfnorm": "analysis.norms",
     "hinfsyn": "synthesis.hinfinity",
     "impulse": "delivery.timeplots",
+    "keygen": "delivery.signatures",
     "lft": "systems.connect",
     "lqg": "regulators.regulator",
     "lqr": "regulators.regulator",
@@ -167,10 +171,12 @@ _HOME = {
     "read_study": "command.specification",
     "series": "systems.connect",
     "sigma": "delivery.frequencyplots",
+    "sign": "delivery.signatures",
     "state_feedback": "regulators.controller",
     "step": "delivery.timeplots",
     "system": "systems.statespace",
     "verify": "analysis.norms",
+    "verify_signature": "delivery.signatures",
 }
 
 __all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]

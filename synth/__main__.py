@@ -12,7 +12,7 @@ import sys
 EPILOG = """\
 exit codes:
   0    done, and everything required is met
-  1    a controller fails its verification, a proof does not hold, or a requirement is missed
+  1    a controller fails its verification, a proof or a signature does not hold, or a requirement is missed
   2    bad input: options, files, models, or a controller that cannot leave in this form
   3    no controller exists: an assumption fails, or the level asked for cannot be reached
   4    no route to a solution worked (numerical trouble, or not enough memory)
@@ -60,7 +60,7 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
 def make_parser() -> argparse.ArgumentParser:
     """All commands and their options."""
     parser = Parser(
-        prog="synth", description="Verified controllers: design, look, accept, export, compare.",
+        prog="synth", description="Verified controllers: design, look, accept, export, compare, sign.",
         epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("--version", action=Version, nargs=0, help="print the version and exit")
@@ -82,6 +82,7 @@ def make_parser() -> argparse.ArgumentParser:
         "proved again",
     )  # fmt: skip
     verify.add_argument("files", nargs="+", metavar="FILE", help="design, controller with --plant, or certificates")
+    verify.add_argument("--key", metavar="PUB", help="whether any files are as they were signed, by this public key")
     verify.add_argument("--design", metavar="FILE", help="with a certificate: whether it is of this design")
     verify.add_argument("--plant", metavar="FILE", help="generalised plant, or plain plant (its four-block norm)")
     verify.add_argument("--negative", action="store_true", help="with a plain --plant: the controller acts on r - y")
@@ -105,6 +106,15 @@ def make_parser() -> argparse.ArgumentParser:
     certify.add_argument("--upper", type=float, metavar="X", help="level to prove the controller below")
     certify.add_argument("--bits", type=int, metavar="N", help="precision to begin with (default 128)")
     certify.add_argument("--force", action="store_true", help="replace a file that exists")
+
+    sign = command("sign", "sign any files with a private key: FILE.sig is written beside each")
+    sign.add_argument("files", nargs="+", metavar="FILE", help="design, controller, certificate, C, FMU, ...")
+    sign.add_argument("--key", required=True, metavar="KEY", help="private key, Ed25519 in PEM, as synth keygen writes")
+    sign.add_argument("--passphrase", action="store_true", help="the key has one: ask for it")
+    sign.add_argument("--force", action="store_true", help="replace a signature that exists")
+
+    keygen = command("keygen", "make a pair of keys, NAME.key (private) and NAME.pub")
+    keygen.add_argument("files", nargs=1, metavar="NAME")
 
     export = command("export", "write a controller for elsewhere: C99, FMU, MATLAB, JSON")
     export.add_argument("files", nargs=1, metavar="FILE", help="design or controller (.json)")

@@ -29,10 +29,10 @@ DEVICES = ("CON", "PRN", "AUX", "NUL", "CONIN$", "CONOUT$", "CLOCK$")
 SEAL, PARTS = "sha256", "parts_sha256"
 
 
-def write_atomically(path: Path, content: bytes) -> Path:
+def write_atomically(path: Path, content: bytes, mode: int = 0o666) -> Path:
     """Write beside the target, force it to the disk and rename: a reader sees the old file or the new one, never half.
 
-    The file's mode follows the umask. A writer that is killed leaves at most a hidden ``.NAME.*.partial``.
+    The umask is taken from the file's mode. A writer that is killed leaves at most a hidden ``.NAME.*.partial``.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def write_atomically(path: Path, content: bytes) -> Path:
     """
     temporary = path.parent / f".{path.name[:40]}.{os.urandom(6).hex()}{UNFINISHED}"
     try:
-        with open(temporary, "xb") as file:
+        with open(temporary, "xb", opener=lambda name, flags: os.open(name, flags, mode)) as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())

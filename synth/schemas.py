@@ -330,6 +330,16 @@ class SealedMpcFile(MpcFile):
     parts_sha256: dict[str, str]
 
 
+class Signature(Record):
+    """`synth.delivery.signatures`: of the file beside it."""
+
+    format: Literal["convex-synth signature"]
+    format_version: Literal[1]
+    sha256: str  # of the signed file
+    key: str  # fingerprint of the public key
+    signature: str  # base64
+
+
 class Mistake(NamedTuple):
     """One value that a file may not hold."""
 

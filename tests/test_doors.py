@@ -142,7 +142,8 @@ OF_A_SYSTEM: dict[str, Callable[[Any, float], Any]] = {
 }  # fmt: skip
 OF_ANOTHER_SYSTEM = {"export", "mpc"}  # tested below
 WITHOUT_A_SYSTEM = {
-    "care", "dare", "proportional_derivative", "quaternion_lqr", "quaternion_pd", "quaternion_pid", "read_study",
+    "care", "dare", "keygen", "sign", "verify_signature", "proportional_derivative",
+    "quaternion_lqr", "quaternion_pd", "quaternion_pid", "read_study",
     "state_feedback",
 }  # fmt: skip
 
@@ -312,6 +313,9 @@ RIGHT: dict[str, dict[str, Any]] = {
                        "zone_deg": 5.0},
     "read_study": {"path": "nothing.toml"},
     "series": {"G": CONTINUOUS, "H": CONTINUOUS},
+    "keygen": {"path": "nothing"},
+    "sign": {"path": "file", "key": "pair.key", "passphrase": None, "force": True},
+    "verify_signature": {"path": "file", "key": "pair.pub"},
     "state_feedback": {"K": np.ones((1, 2)), "dt": 0.1},
     "system": {"dt": 0.0, "u": ("u",), "y": ("y",), "units": None},
     "verify": {"system": CONTINUOUS},
@@ -353,6 +357,14 @@ def refusal(call: Callable[[], Any], what: str) -> str | None:
     return None
 
 
+def write_files() -> None:
+    """Those that the right calls read."""
+    with open("file", "w") as file:
+        file.write("content")
+    synth.keygen("pair")
+    synth.sign("file", "pair.key")
+
+
 SLOW = {"accept"}  # more than three seconds
 FUNCTIONS = [pytest.param(f, marks=pytest.mark.slow) if f in SLOW else f for f in sorted(RIGHT)]
 
@@ -361,6 +373,7 @@ FUNCTIONS = [pytest.param(f, marks=pytest.mark.slow) if f in SLOW else f for f i
 def test_wrong_arguments_are_named(function, tmp_path, monkeypatch):
     """Every wrong value for every parameter in turn: it is taken, or refused by an error that names the parameter."""
     monkeypatch.chdir(tmp_path)
+    write_files()
     f, right = getattr(synth, function), RIGHT[function]
     first = ([1.0], [1.0, 1.0]) if function == "system" else ()
     for parameter, (wrong, value) in itertools.product(right, WRONG.items()):
@@ -372,6 +385,7 @@ def test_wrong_arguments_are_named(function, tmp_path, monkeypatch):
 
 def test_the_right_calls_work(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    write_files()
     assert set(RIGHT) == {*OF_A_SYSTEM, *OF_ANOTHER_SYSTEM, *WITHOUT_A_SYSTEM}
     for function, right in RIGHT.items():
         if function == "read_study":

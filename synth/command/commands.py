@@ -42,7 +42,8 @@ OPTIONS = {"force=True": "--force", "allow_unstable=True": "--allow-unstable"}  
 def run(options: argparse.Namespace) -> int:
     """Run the command that was asked for; returns its exit code."""
     commands = {
-        "info": info, "verify": verify, "certify": certify, "export": export, "compare": compare, "design": design
+        "info": info, "verify": verify, "certify": certify, "export": export, "compare": compare, "design": design,
+        "sign": sign, "keygen": keygen,
     }  # fmt: skip
     try:
         return commands[options.command](options)
@@ -79,10 +80,14 @@ def verify(options: argparse.Namespace) -> int:
     """`synth verify`."""
     from synth.command import certificates
 
+    if options.key is not None:
+        from synth.command.signing import verify_files
+
+        others = [name for name in certificates.GATE if getattr(options, name) not in (None, False)]
+        listed = [f"--{name.replace('_', '-')}" for name in (*others, *(["design"] if options.design else []))]
+        return told(options, *verify_files(options, listed))
     if any(map(certificates.is_certificate, options.files)):
-        data, text = certificates.verify(options, load)
-        print_json(data) if options.json else say(text)
-        return DONE
+        return told(options, *certificates.verify(options, load))
     if options.design is not None:
         raise ModelError("--design is about certificates; none is given")
     from synth.delivery.acceptance import Acceptance, Requirements, accept
@@ -119,7 +124,25 @@ def certify(options: argparse.Namespace) -> int:
     """`synth certify`."""
     from synth.command import certificates
 
-    data, text = certificates.certify(options, load)
+    return told(options, *certificates.certify(options, load))
+
+
+def sign(options: argparse.Namespace) -> int:
+    """`synth sign`."""
+    from synth.command.signing import sign_files
+
+    return told(options, *sign_files(options))
+
+
+def keygen(options: argparse.Namespace) -> int:
+    """`synth keygen`."""
+    from synth.command.signing import make_keys
+
+    return told(options, *make_keys(options))
+
+
+def told(options: argparse.Namespace, data: Any, text: str) -> int:
+    """Print what was done, as data or in words."""
     print_json(data) if options.json else say(text)
     return DONE
 
