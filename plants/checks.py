@@ -43,6 +43,8 @@ def real(
         array = value if traced else array.astype(np.float64)
     except (TypeError, ValueError) as error:
         raise ScenarioError(f"{name} must be real numbers, got {value!r}") from error
+    if not traced and np.ma.is_masked(value):
+        raise ScenarioError(f"{name} has masked entries, which have no value: fill them, or leave them away")
     if len(array.shape) != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
         wanted = tuple("n" if n is None else n for n in shape)
         raise ScenarioError(f"{name} must have shape {wanted}, got {array.shape}")

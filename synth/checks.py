@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -56,23 +56,72 @@ def as_array(
     if hasattr(value, "toarray"):
         raise ModelError(f"{name} is a sparse matrix; pass {name}.toarray(), small systems are kept dense")
     try:
+        check_unmasked(name, value)
         raw: Any = np.asarray(value)
         if raw.dtype.kind in KINDS and not (raw.dtype.kind == "c" and not np.any(raw.imag)):
             raise ModelError(f"{name} is not {kind} (it is {KINDS[raw.dtype.kind]}, {shown(value)}); {wanted}")
-        if raw.dtype.kind == "O" and any(isinstance(x, str | bytes | None | complex) for x in raw.flat):
-            raise TypeError(f"an entry is {shown(next(x for x in raw.flat if not isinstance(x, int | float)))}")
+        if trouble := _unlike_doubles(value, raw):
+            raise ModelError(f"{name} {trouble}")
         M = np.array(raw.real if raw.dtype.kind == "c" else raw, dtype=float)
     except ModelError:
         raise
     except Exception as error:  # whatever a foreign object raises when it is asked for numbers
         raise ModelError(f"{name} is not {kind} ({shown(value)}: {error}); {wanted}") from None
-    if np.ma.is_masked(value):
-        raise ModelError(f"{name} has masked entries, which have no value; {wanted}")
     if finite and not np.isfinite(M).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(M))[0])
         at = f"[{', '.join(map(str, where))}]" if where else ""
         raise ModelError(f"{name}{at} is {M[where]}; every entry must be finite")
     return M
+
+
+def _unlike_doubles(value: Any, raw: np.ndarray) -> str:
+    """What is lost or made up where data is taken for doubles, with the remedy; empty where nothing is.
+
+    `raw` is the value as NumPy takes it, which does not tell the precision of the parts of a list.
+    """
+    if raw.dtype.kind == "O":  # lists with whole numbers beyond 64 bits are
+        if (listed := isinstance(value, list | tuple)) and all(type(x) in (int, float) for x in raw.flat):
+            return ""
+        odd = next((x for x in raw.flat if type(x) not in (int, float)), None) if listed else value
+        return f"holds objects, such as {shown(odd)}, no numbers of a machine; pass np.array(..., dtype=float)"
+    for part in (raw, *_arrays_in(value)):
+        dtype = np.dtype(part.dtype)
+        if dtype.kind in "fc" and dtype not in (np.float64, np.complex128):
+            digits = np.finfo(dtype).precision
+            return f"is {dtype}, of {digits + 1} digits, where doubles have 16; pass it .astype(float) if that is meant"
+    return ""
+
+
+def check_unmasked(name: str, value: Any) -> None:
+    """Raise ModelError for masked entries; NumPy takes what is below the mask, or NaN."""
+    if any(np.ma.is_masked(part) for part in _arrays_in(value)):
+        raise ModelError(f"{name} has masked entries, which have no value; fill them, or leave their rows away")
+
+
+def _arrays_in(value: Any) -> Iterator[Any]:
+    """Arrays and their scalars in lists of any depth."""
+    if isinstance(value, list | tuple):
+        if not {*map(type, value)} <= {float, int, bool}:
+            for item in value:
+                yield from _arrays_in(item)
+    elif hasattr(value, "dtype"):
+        yield value
+
+
+def as_roots(name: str, value: Any) -> np.ndarray:
+    """Complex numbers, in texts too as files have them; raises what NumPy raises, and ModelError for other kinds."""
+    check_unmasked(name, value)
+    raw = np.asarray(value)
+    if (raw.dtype.kind in "fc" or isinstance(value, np.ndarray)) and (trouble := _unlike_doubles(value, raw)):
+        raise ModelError(f"{name}: it {trouble}")
+    return np.asarray(value, dtype=complex)
+
+
+def as_signal(name: str, value: Any) -> np.ndarray:
+    """Measured numbers in every step of a controller: float64, of any shape, not looked at further if they are."""
+    if type(value) is np.ndarray and value.dtype == np.float64:
+        return value
+    return as_array(name, value, finite=False)
 
 
 def as_matrix(name: str, value: Any, shape: tuple[int | None, int | None] = (None, None)) -> np.ndarray:
@@ -119,6 +168,9 @@ def as_number(name: str, value: Any, wanted: str, *, above: float | None = None,
     """A finite number, within its bounds; `wanted` says what to pass."""
     if isinstance(value, bool | np.bool_ | str | bytes) or value is None or np.ndim(_quiet(value)) != 0:
         raise ModelError(f"{name} is {shown(value)}; pass {wanted}")
+    check_unmasked(name, value)
+    if isinstance(value, np.ndarray | np.generic) and (trouble := _unlike_doubles(value, np.asarray(value))):
+        raise ModelError(f"{name} {trouble}")
     try:
         number = float(value)
     except Exception:  # whatever a foreign object raises
@@ -259,10 +311,7 @@ def as_cost(name: str, value: Any, size: int, *, definite: bool = False) -> np.n
 def as_limits(name: str, value: Any, size: int, free: tuple[float, ...] = (-np.inf, np.inf)) -> np.ndarray:
     """One limit per channel, (size,), a number standing for all; infinite ones in `free` mean no limit."""
     wanted = f"pass a number or {size} of them"
-    try:
-        limits = np.asarray(value, dtype=float)
-    except Exception:  # whatever a foreign object raises when it is asked for numbers
-        raise ModelError(f"{name} is {shown(value)}; {wanted}") from None
+    limits = as_array(name, value, wanted, finite=False)
     if np.asarray(value).dtype.kind not in "iuf" or np.isnan(limits).any() or limits.shape not in ((), (size,)):
         raise ModelError(f"{name} is {shown(value)}; {wanted}")
     if not (np.isfinite(limits) | np.isin(limits, free)).all():

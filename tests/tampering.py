@@ -22,6 +22,32 @@ WRONG = (
 )
 
 
+# what a value may become in a damaged file: kinds, sizes and bounds that a reader did not expect
+ATOMS = (
+    None, True, False, 0, -1, 3, 2**63, 10**19, -(10**300), 0.5, -0.0, 5e-324, 1e-320, 1e200, -1e308, "", "inf", "nan",
+    "-1+2j", "1e5", "CON", "../x", "\x1b[2J", "\x00", "<script>", "\u202e", "$\\frac$", "µ" * 40, [], {}, [[]],
+    [[], []], [None], [[None]], [True], [["a"]], ["a", "a"], [[1], [1, 2]], [[[1.0]]], [1.0, 2.0],
+    [[1e200, 1e-200]], {"a": 1}, {"diag": [1]}, [0.0] * 300, [[0.0] * 40] * 40, [[1e308] * 3] * 3, {"v": [1.0]},
+    {"shift": 1.0},
+)  # fmt: skip
+UNUSUAL = (
+    "A",
+    "B1",
+    "dt",
+    "num",
+    "zeros",
+    "format",
+    "format_version",
+    "units",
+    "L",
+    "umin",
+    "delay",
+    "__proto__",
+    "\x1b",
+)
+FACTORS = (1 + 1e-12, 1.001, 2, -1, 1e10, 1e200, 1e-200, 0.0)
+
+
 def places(data, path=()):
     """Paths to all that a file holds."""
     items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
@@ -53,6 +79,36 @@ def tampered(data, rng):
         holder[key] = [old + " ", old[::-1], old.replace("below", "above"), ""][int(rng.integers(4))]
     else:
         holder[key] = NUMBERS[int(rng.integers(len(NUMBERS)))]
+    return data
+
+
+def rearranged(data, rng):
+    """The data with one to three changes of any kind, which need not leave it in a form that anybody wrote."""
+    data = json.loads(json.dumps(data))
+    for _ in range(int(rng.choice([1, 1, 2, 3]))):
+        found = list(places(data))
+        if not found:
+            return data
+        path = found[int(rng.integers(len(found)))]
+        if rng.random() < 0.5:  # near the top, where fewer are
+            path = path[: int(rng.integers(1, len(path) + 1))]
+        holder = data
+        for key in path[:-1]:
+            holder = holder[key]
+        key, kind, atom = path[-1], rng.random(), ATOMS[int(rng.integers(len(ATOMS)))]
+        old, atom = holder[key], json.loads(json.dumps(atom))
+        if kind < 0.45:
+            holder[key] = atom
+        elif kind < 0.6:
+            del holder[key]
+        elif kind < 0.7 and isinstance(holder, dict):
+            holder[UNUSUAL[int(rng.integers(len(UNUSUAL)))]] = atom
+        elif kind < 0.8 and isinstance(holder, list):
+            holder.insert(int(key), json.loads(json.dumps(old)))
+        elif isinstance(old, int | float) and not isinstance(old, bool):
+            holder[key] = old * FACTORS[int(rng.integers(len(FACTORS)))] if abs(old) < 1e100 else 1.0
+        else:
+            holder[key] = [old, old]
     return data
 
 

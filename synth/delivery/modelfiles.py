@@ -99,12 +99,12 @@ def read(path: str | os.PathLike[str]) -> Design | GeneralizedPlant | Model:
 
 def checked(data: dict[str, Any]) -> dict[str, Any]:
     """The data of a system or controller as its file has it, if it is as `synth.schemas` says."""
-    from synth import schemas
+    from synth import mistakes, schemas
 
     form, _ = _form(data)
     kinds = {"B1": schemas.PlantFile, "num": schemas.PolynomialFile, "zeros": schemas.RootsFile}
     kind = schemas.ControllerFile if data["format"] == CONTROLLER else kinds.get(form, schemas.SystemFile)
-    schemas.check(kind, data, "the system is damaged")
+    mistakes.check(kind, data, "the system is damaged")
     return data
 
 
@@ -198,6 +198,8 @@ def _from_mat(path: Path) -> GeneralizedPlant | Model:
     for name, value in found.items():
         if value.dtype.kind not in "fiu":
             raise ModelError(f"{name} is no real matrix but {value}; save numbers (full(A) for a sparse A)")
+        if value.dtype.kind == "f" and value.dtype != np.float64:
+            raise ModelError(f"{name} has single precision, 7 digits; save double({name}) if that is meant")
     if "dt" in found:
         if found["dt"].size != 1:
             raise ModelError(f"dt has {found['dt'].size} entries; save one number")

@@ -67,14 +67,14 @@ def load_mpc(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 def from_dict(data: Any) -> dict[str, Any]:
     """The inverse of `jsonable` for such a file, checked."""
-    from synth import schemas
+    from synth import mistakes, schemas
 
     version = data.get("format_version") if isinstance(data, dict) and data.get("format") == FORMAT else None
     if isinstance(version, bool) or version not in (1, FORMAT_VERSION):
         raise ModelError(f"the data is no {FORMAT} of format version 1 or {FORMAT_VERSION}")
     if version == FORMAT_VERSION:
         check_seal(data)
-    schemas.check(schemas.SealedMpcFile if version == FORMAT_VERSION else schemas.MpcFile, data, "it is damaged")
+    mistakes.check(schemas.SealedMpcFile if version == FORMAT_VERSION else schemas.MpcFile, data, "it is damaged")
     found = {key: value for key, value in data.items() if key not in (SEAL, PARTS)}
     try:
         model = StateSpace(**data["model"], dt=data["dt"])

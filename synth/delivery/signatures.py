@@ -103,7 +103,7 @@ def verify_signature(path: str | os.PathLike[str], key: str | os.PathLike[str]) 
     ModelError : a file is missing or no file, the key is no public key of Ed25519, or the signature is damaged.
     VerificationError : the file is not signed, was changed since, or was signed with another key.
     """
-    from synth import schemas
+    from synth import mistakes, schemas
 
     path = as_path("path", path)
     digest, public = _digest(path), _public(as_path("key", key))
@@ -112,7 +112,7 @@ def verify_signature(path: str | os.PathLike[str], key: str | os.PathLike[str]) 
         raise VerificationError(f"{path.name} is not signed: there is no {target.name} beside it")
     try:
         data = read_json(target)
-        schemas.check(schemas.Signature, data, "it is no signature")
+        mistakes.check(schemas.Signature, data, "it is no signature")
         signature = base64.b64decode(data["signature"], validate=True)
     except ValueError as error:
         raise ModelError(f"{target.name}: {error}; take it from where the file came") from None

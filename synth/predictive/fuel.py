@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import scipy.linalg as sla
 
-from synth.checks import as_limits, as_matrix, as_number, as_period, as_vector, as_whole, check_period
+from synth.checks import as_limits, as_matrix, as_number, as_period, as_signal, as_vector, as_whole, check_period
 from synth.errors import ModelError, NumericalError
 from synth.predictive.parametriclp import ParametricLp, canonicalise
 from synth.systems.connect import check_dynamic
@@ -97,7 +97,7 @@ class FuelMpc:
         NumericalError : HiGHS fails. There is no stale command.
         """
         q, n = self.model.C.shape
-        x, r = np.asarray(y, dtype=float), np.asarray(r, dtype=float)
+        x, r = as_signal("y", y), as_signal("r", r)
         if x.shape != (n,) or r.shape not in ((q,), (n,)):
             raise ModelError(f"y has shape {x.shape}, r {r.shape}; pass the state ({n},) and the box's centre ({q},)")
         if not (np.isfinite(x).all() and np.isfinite(r).all()):

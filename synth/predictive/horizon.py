@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from synth.checks import as_choice, as_cost, as_limits, as_number, as_whole, check_period
+from synth.checks import as_choice, as_cost, as_limits, as_number, as_signal, as_whole, check_period
 from synth.errors import ModelError, NumericalError
 from synth.predictive.mpcproblem import MpcProblem
 from synth.predictive.parametricqp import CLARABEL_SETTINGS, ParametricQp, canonicalise
@@ -159,7 +159,7 @@ class Mpc:
         ModelError : `y` or `r` has the wrong size or is not finite.
         """
         n, m = self.problem.model.B.shape
-        y, r = np.asarray(y, dtype=float), np.asarray(r, dtype=float)
+        y, r = as_signal("y", y), as_signal("r", r)
         if y.shape == (n,):
             x, h = y, state.momentum
         elif y.shape == (n + m,):

@@ -169,7 +169,7 @@ def from_dict(data: Any) -> Certificate:
     ------
     ModelError : the data is no certificate, is incomplete, or is not what `to_dict` made.
     """
-    from synth import schemas
+    from synth import mistakes, schemas
 
     version = data.get("format_version") if isinstance(data, dict) and data.get("format") == FORMAT else None
     if version not in (1, FORMAT_VERSION) or isinstance(version, bool):
@@ -177,7 +177,7 @@ def from_dict(data: Any) -> Certificate:
             f"the data is no certificate of format 1 or {FORMAT_VERSION}; pass what Certificate.save wrote"
         )
     kind = schemas.Certificate if version == 1 else schemas.SealedCertificate
-    schemas.check(kind, data, "the certificate is incomplete or damaged")
+    mistakes.check(kind, data, "the certificate is incomplete or damaged")
     try:
         certificate = Certificate(
             lower=float(data["lower"]),

@@ -255,7 +255,7 @@ def _system_from_dict(name: str, data: Any, dt: Any) -> StateSpace:
 
 def from_dict(data: Any) -> Design:
     """The inverse of `to_dict`, checked."""
-    from synth import schemas
+    from synth import mistakes, schemas
 
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise ModelError(f"the data is no design: its format is not {FORMAT!r}; pass what Design.save wrote")
@@ -272,7 +272,7 @@ def from_dict(data: Any) -> Design:
     if version == 1:
         data = _of_version_1(data)
     kind = schemas.SealedDesign if version == FORMAT_VERSION else schemas.Design
-    schemas.check(kind, data, "the design is incomplete or damaged")
+    mistakes.check(kind, data, "the design is incomplete or damaged")
     try:
         plant = GeneralizedPlant(**data["plant"])
     except ModelError as error:

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from synth.checks import as_array, as_matrix, as_number, as_timebase, shown
+from synth.checks import as_array, as_matrix, as_number, as_roots, as_timebase, check_unmasked, shown
 from synth.errors import ModelError
 from synth.systems.realization import of_polynomials, of_roots
 
@@ -53,6 +53,7 @@ def parts(name: str, value: Any) -> Parts:
     """
     try:
         found = _parts(name, value)
+        check_unmasked("D", found.D)
     except ModelError as error:
         raise error if name in str(error) else ModelError(f"{name}: {error}") from None
     if 0 in np.shape(found.D):
@@ -195,8 +196,10 @@ def _of_roots(name: str, zeros: Any, poles: Any, gain: Any, dt: float | None) ->
     roots = []
     for key, value in (("zeros", zeros), ("poles", poles)):
         try:
-            found = np.atleast_1d(np.asarray(value, dtype=complex))
-        except (TypeError, ValueError, OverflowError):
+            found = np.atleast_1d(as_roots(f"the {key} of {name}", value))
+        except (TypeError, ValueError, OverflowError) as error:
+            if isinstance(error, ModelError):
+                raise
             found = np.zeros((1, 1))
         if found.ndim > 1:
             raise ModelError(

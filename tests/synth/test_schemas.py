@@ -8,7 +8,7 @@ from dataclasses import fields
 import pytest
 from literature import cubesat_pecorilla2024
 
-from synth import schemas
+from synth import mistakes, schemas
 from synth.delivery.modelfiles import read
 from synth.errors import MOST, ModelError
 from synth.files import sealed_by_parts
@@ -18,7 +18,7 @@ from synth.synthesis.info import Info
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace
 
-KINDS = [k for k in vars(schemas).values() if isinstance(k, type) and issubclass(k, schemas.Record)]
+KINDS = [k for k in vars(schemas).values() if isinstance(k, type) and issubclass(k, mistakes.Record)]
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +87,7 @@ def test_a_system_with_what_belongs_to_none(tmp_path, change, message):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("data", [None, 1, "x", [], [[]], {}, {"a": 1}, True, {"A": {}}, {"end": {"v": 1}}, 1e308])
 def test_whatever_is_no_such_table_has_its_mistakes(kind, data):
-    found = schemas.mistakes(kind, data, "top")
+    found = mistakes.mistakes(kind, data, "top")
     assert found or not any(field.is_required() for field in kind.model_fields.values())
     assert all(str(mistake).startswith("top") for mistake in found)
 
