@@ -16,7 +16,7 @@ from __future__ import annotations
 import cvxpy as cp
 import numpy as np
 
-from synth.lmi.solve import solve, staircase
+from synth.lmi.solve import solve, staircase, value
 from synth.systems.statespace import StateSpace
 
 
@@ -29,7 +29,7 @@ def optimal_level(G: StateSpace) -> tuple[float, str]:
 
     Raises
     ------
-    NumericalError : the solver ended without a point.
+    NumericalError : the solver ended without a point that is one.
     """
     n, m, p = G.n, G.nu, G.ny
     if n == 0:
@@ -44,4 +44,4 @@ def optimal_level(G: StateSpace) -> tuple[float, str]:
     control = staircase([[Y + s * B @ B.T, 0], [s * np.eye(p)]]) - AC @ Y @ AC.T
     filtering = staircase([[V + s * C.T @ C, 0], [s * np.eye(m)]]) - AB.T @ V @ AB
     status = solve(s, [control, filtering, staircase([[Y, np.eye(n)], [V]])])
-    return float(np.hypot(1.0, np.asarray(s.value))), status
+    return float(np.hypot(1.0, value(s))), status

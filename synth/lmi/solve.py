@@ -12,6 +12,7 @@ import numpy as np
 from synth.errors import NumericalError
 
 TOLERANCE = 1e-8  # tighter only turns "optimal" into "optimal_inaccurate" without moving the solution
+LARGEST = 1e100  # of an unknown: in the coordinates of a formulation its natural size is one
 BACKOFF = (1e-3, 3e-3, 1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3, 1e4)  # relative distances from the optimum, tried in turn
 
 
@@ -68,7 +69,16 @@ def run(problem: cp.Problem, solver: str, **settings: Any) -> str:
 
 
 def value(unknown: cp.Variable) -> np.ndarray:
-    """The value of an unknown after `solve`."""
-    if unknown.value is None:
-        raise NumericalError(f"the unknown {unknown.name()} has no value: solve first")
-    return np.asarray(unknown.value)
+    """The value of an unknown after `solve`.
+
+    Raises
+    ------
+    NumericalError : it has none, or none to compute with: no real numbers, another shape, NaN or beyond `LARGEST`.
+    """
+    found = np.asarray(unknown.value)
+    if found.dtype.kind not in "fiu" or found.shape != unknown.shape:
+        what = "nothing" if unknown.value is None else f"{found.dtype} of shape {found.shape}"
+        raise NumericalError(f"the solver left {what} for an unknown of shape {unknown.shape}")
+    if not (np.abs(found) <= LARGEST).all():
+        raise NumericalError(f"the solver left {np.abs(found).max():.3g} for an unknown: no number to compute with")
+    return found

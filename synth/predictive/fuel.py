@@ -223,7 +223,7 @@ def minimum_fuel(G: Any, free: Any, box: Any, *, dt: float, settle: int = 1) -> 
     """
     import cvxpy as cp
 
-    from synth.lmi.solve import run
+    from synth.lmi.solve import run, value
 
     G = as_system("G", G)
     if G.discrete or G.D.any():
@@ -244,16 +244,16 @@ def minimum_fuel(G: Any, free: Any, box: Any, *, dt: float, settle: int = 1) -> 
     y = rest + (moves[(settle - 1) * q :] / scale[:, None]) @ v
     sides: list[Any] = [y <= 1, -y <= 1]
     problem = cp.Problem(cp.Minimize(cp.norm1(v)), sides)
-    if run(problem, "HiGHS") != "optimal" or v.value is None:
+    if run(problem, "HiGHS") != "optimal":
         raise NumericalError(f"HiGHS ended with {problem.status!r}", {"highs": problem.status})
-    multipliers = sides[0].dual_value - sides[1].dual_value
+    impulses, multipliers = value(v), value(sides[0].dual_variables[0]) - value(sides[1].dual_variables[0])
     peak = primer_peak(G, (multipliers / scale).reshape(-1, q), dt / REFINED, settle)
-    value = float(multipliers @ rest - np.abs(multipliers).sum())
-    motion = f[1:] + (moves @ v.value).reshape(K, q)
+    bound = float(multipliers @ rest - np.abs(multipliers).sum())
+    motion = f[1:] + (moves @ impulses).reshape(K, q)
     return MinimumFuel(
-        lower=value / max(peak, 1.0),
-        upper=float(np.abs(v.value).sum()),
-        impulses=v.value.reshape(K, m),
+        lower=bound / max(peak, 1.0),
+        upper=float(np.abs(impulses).sum()),
+        impulses=impulses.reshape(K, m),
         peak=peak,
         motion=np.vstack([f[:1], motion]),
     )

@@ -2,9 +2,9 @@
 
     minimise  c'v   subject to   A v <= room,   lower <= v <= upper
 
-`canonicalise` reads c, A and the limits off the program CVXPY hands to its solver. `ParametricLp.solve` starts the dual
-simplex method of HiGHS (Huangfu and Hall 2018, doi 10.1007/s12532-017-0130-5) from the basis of the solve before: a
-change of the right-hand side leaves that basis dual feasible, so a few pivots are enough.
+`canonicalise` reads c, A and the limits off the cone program that CVXPY makes of it. `ParametricLp.solve` starts the
+dual simplex method of HiGHS (Huangfu and Hall 2018, doi 10.1007/s12532-017-0130-5) from the basis of the solve before:
+a change of the right-hand side leaves that basis dual feasible, so a few pivots are enough. Every optimum is checked.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 # One thread: the programs are small. No presolve: it would throw away the basis.
 HIGHS_OPTIONS = {"output_flag": False, "threads": 1, "solver": "simplex", "presolve": "off",
     "primal_feasibility_tolerance": 1e-9, "dual_feasibility_tolerance": 1e-9}  # fmt: skip
+
+ACCURACY = 1e-6  # of an optimum: beyond its limits in their units, above the optimal cost relative to 1 + the cost
 
 
 class LpSolution(NamedTuple):
@@ -76,7 +78,7 @@ class ParametricLp:
 
         Raises
         ------
-        NumericalError : HiGHS ends with anything but an optimum.
+        NumericalError : HiGHS ends with anything but an optimum, or with one that does not pass the check.
         """
         try:
             highs = self.scratch.highs
@@ -92,13 +94,34 @@ class ParametricLp:
         if status != highspy.HighsModelStatus.kOptimal:
             word = highs.modelStatusToString(status)
             raise NumericalError(f"HiGHS ended with {word!r}", {"highs": word})
-        info = highs.getInfo()
+        info, solution = highs.getInfo(), highs.getSolution()
+        v, prices = np.array(solution.col_value), np.array(solution.row_dual)
+        error = self.error(v, prices, room)
+        if not error <= ACCURACY:
+            raise NumericalError(f"HiGHS calls optimal what is off by {error:.1e}", {"highs": f"off by {error:.1e}"})
         return LpSolution(
-            np.array(highs.getSolution().col_value),
+            v,
             info.objective_function_value,
             highs.getBasis(),
             info.simplex_iteration_count,
         )
+
+    def error(self, v: np.ndarray, prices: np.ndarray, room: np.ndarray) -> float:
+        """How far `v` is beyond its limits, or its cost above the bound that `prices` (M,) prove; inf if no numbers.
+
+        Weak duality: c'v >= prices'room + (c - A'prices)'v at the lesser limits, for prices of at most 0.
+        """
+        if not (np.isfinite(v).all() and np.isfinite(prices).all()):
+            return np.inf
+        counts = np.isfinite(room)
+        prices = np.where(counts, np.minimum(prices, 0.0), 0.0)
+        left = self.c - self.A.T @ prices
+        limit = np.where(left > 0, self.lower, self.upper)
+        free = ~np.isfinite(limit)  # of a limit: there nothing may be left
+        cost = self.c @ v
+        gap = cost - prices[counts] @ room[counts] - left[~free] @ limit[~free]
+        beyond = np.concatenate([self.A @ v - room, v - self.upper, self.lower - v, np.abs(left[free])]).max()
+        return float(np.maximum(beyond, gap / (1.0 + abs(cost))))
 
 
 def canonicalise(problem: cp.Problem, room: cp.Parameter, variables: list[cp.Variable]) -> ParametricLp:
@@ -117,7 +140,7 @@ def canonicalise(problem: cp.Problem, room: cp.Parameter, variables: list[cp.Var
     def data(value: np.ndarray) -> tuple[np.ndarray, sp.csr_array, np.ndarray]:
         """(c, A, b) of: minimise c'v subject to A v <= b."""
         room.value = value
-        found = problem.get_problem_data("HIGHS")[0]
+        found = problem.get_problem_data("CLARABEL")[0]  # cones: what CVXPY hands to HiGHS changes with its version
         columns = found["param_prob"].var_id_to_col
         own = np.concatenate([columns[v.id] + np.arange(v.size) for v in variables])
         if found["dims"].zero or own.size != found["c"].size:

@@ -11,6 +11,7 @@ program may know how to solve it in longer arithmetic.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -130,6 +131,8 @@ class ParametricQp:
         if flag != 1:
             return None, str(flag)
         y = info["lam"]
+        if not math.isfinite(v.sum() + y.sum()):
+            return None, "no numbers"
         error, active = optimality.error(v, y, f, upper)
         if not error <= ACCURACY:
             error = optimality.rounding(v, y, f, upper)
@@ -179,11 +182,18 @@ class ParametricQp:
         solver = clarabel.DefaultSolver(  # pyright: ignore[reportAttributeAccessIssue]
             sp.csc_array(np.triu(self.P)), f, sp.csc_array(np.vstack([rows[above], -rows[below]])), b, cones, settings
         )
-        solution = solver.solve()
-        z, y = np.asarray(solution.z), np.zeros(upper.size)
+        try:
+            solution = solver.solve()
+        except (KeyboardInterrupt, SystemExit):
+            raise
+        except BaseException as error:  # a panic of Clarabel is no Exception
+            return f, np.zeros(upper.size), f"{type(error).__name__}: {error}"
+        x, z, y = np.asarray(solution.x), np.asarray(solution.z), np.zeros(upper.size)
+        if not (np.isfinite(x).all() and np.isfinite(z).all()):
+            return f, y, f"{solution.status} without numbers"
         y[above] += z[: above.sum()]
         y[below] -= z[above.sum() :]
-        return np.asarray(solution.x), y, str(solution.status)
+        return x, y, str(solution.status)
 
 
 def canonicalise(

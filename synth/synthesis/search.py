@@ -17,7 +17,7 @@ import numpy as np
 from synth.analysis.norms import Verification, judge
 from synth.analysis.precondition import Conditioned, conditioned
 from synth.equations.hinf_riccati import RiccatiRoute
-from synth.errors import InfeasibleError, ModelError, NumericalError, SynthError
+from synth.errors import ModelError, SynthError
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.sampled import design_rate, discretised, inverse_cayley
 from synth.systems.statespace import StateSpace
@@ -26,6 +26,7 @@ LARGEST_LMI = 20  # plant order up to which "auto" asks the LMIs for a second op
 RATES = (0.1, 10.0, 0.01, 100.0, 1e-3)  # parts of the natural rate, at the fast end of the loop, that are tried in turn
 FEW = 2  # of them before the LMIs are asked, and for the LMIs themselves, which are slow
 SAME = 3.0  # factor within which two rates are one
+FAILS = (SynthError, np.linalg.LinAlgError)  # how an attempt ends that comes to nothing
 NOTHING, LITTLE = 1e-6, 1e-3  # parts of the LQG loop's level: an optimum that counts as zero, a norm that is near it
 
 
@@ -175,7 +176,7 @@ class Search:
         """Let the Riccati equations say what they think the optimum is."""
         try:
             self._claimed("riccati", *self.route("riccati", None))
-        except SynthError as error:
+        except FAILS as error:
             self.failures["riccati, as the cross-check"] = str(error)
 
     def attempt(self, method: str, rate: float | None) -> None:
@@ -184,7 +185,7 @@ class Search:
         try:
             route, scale = self.route(method, rate)
             optimum, status = self._claimed(method, route, scale)
-        except SynthError as error:
+        except FAILS as error:
             self.failures[name] = str(error)
             return
         levels = [optimum * (1 + distance) for distance in sorted({min(self.tol, *route.backoff), *route.backoff})]
@@ -205,7 +206,7 @@ class Search:
         """A controller with a measured norm of at most gamma."""
         try:
             route, scale = self.route(method, rate)
-        except SynthError as error:
+        except FAILS as error:
             self.failures[method] = str(error)
             return None
         found = self.controllers(method, method, route, rate, gamma / scale, "level given")
@@ -228,7 +229,7 @@ class Search:
                 try:
                     controller = to_plant(c.restore(K))
                     closed_loop, measured = judge(self.plant, controller)
-                except (SynthError, np.linalg.LinAlgError) as error:
+                except FAILS as error:
                     self.failures[label] = str(error)
                     continue
                 found = Candidate(
@@ -237,7 +238,7 @@ class Search:
                 best = found if best is None or measured.norm < best.measured.norm else best
                 if measured.norm <= found.level:
                     break
-        except (NumericalError, InfeasibleError) as error:
+        except FAILS as error:
             self.failures[label] = str(error)
         if best is None:
             self.failures.setdefault(label, "no controller came of it")
