@@ -5,7 +5,7 @@
 PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
-PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 OUT    ?= out/cubesat3u
 
 .PHONY: demo test check clean
@@ -22,15 +22,16 @@ check: $(VENV)/dev.stamp
 	$(BIN)/pyright
 	$(BIN)/lint-imports
 
-$(VENV)/run.stamp: pyproject.toml constraints.txt
+$(VENV)/run.stamp: pyproject.toml requirements/run.txt
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) -e .
+	$(PIP) --require-hashes -r requirements/run.txt
+	$(PIP) --no-deps --no-build-isolation -e .
 	touch $@
 
 # the oracles have no wheel for every platform; the tests that compare with them skip without them
-$(VENV)/dev.stamp: $(VENV)/run.stamp
-	$(PIP) -e ".[dev]"
-	$(PIP) --only-binary slycot -e ".[oracles]" || echo "slycot or fmpy is not to be had here: their comparisons will be skipped"
+$(VENV)/dev.stamp: $(VENV)/run.stamp requirements/dev.txt requirements/oracles.txt
+	$(PIP) --require-hashes -r requirements/dev.txt
+	$(PIP) --require-hashes --only-binary slycot -r requirements/oracles.txt || echo "slycot or fmpy is not to be had here: their comparisons will be skipped"
 	touch $@
 
 clean:

@@ -201,7 +201,7 @@ def _same_versions(client: Any, address: str) -> None:
             if theirs.get(name) != version:
                 raise EngineError(
                     f"worker {worker} has {name} {theirs.get(name)}, this machine {version}: results would differ; "
-                    "install the same versions, see constraints.txt"
+                    "install the same versions, see requirements/run.txt"
                 )
 
 
