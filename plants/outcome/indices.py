@@ -27,6 +27,7 @@ from plants.geometry import attitude
 from plants.simulation import blocks
 from plants.simulation.loop import Run
 
+GRID = 2001  # levels at which a bootstrap looks
 STATIC = {"static": True}  # settings: the same for all runs that are put together
 
 
@@ -165,7 +166,72 @@ def quantile(errors: np.ndarray, share: float) -> np.ndarray:
 
 def stability(errors: np.ndarray, lag: int) -> np.ndarray:
     """error(t) - error(t - lag), angles taken the short way round: (N, ...) -> (N - lag, ...) rad."""
-    return (errors[lag:] - errors[:-lag] + np.pi) % (2 * np.pi) - np.pi
+    return _short(errors[lag:] - errors[:-lag])
+
+
+def windows(errors: np.ndarray, length: int) -> tuple[np.ndarray, np.ndarray]:
+    """Means over consecutive windows (MPE), and what is left of every sample (RPE), of angles (N, ...) rad.
+
+    Parameters
+    ----------
+    errors : (N, ...) rad; angles are taken the short way round within a window
+    length : samples of a window; at the end what does not fill one is left out
+
+    Returns
+    -------
+    mean : (windows, ...) rad
+    relative : (windows length, ...) rad
+
+    Raises
+    ------
+    ScenarioError
+        A length that is not a whole number of at least 1, fewer samples than one window.
+    """
+    if not isinstance(length, int | np.integer) or not 1 <= length <= len(errors):
+        raise ScenarioError(f"length = {length!r}: give a whole number of samples from 1 to {len(errors)}")
+    parts = errors[: len(errors) // length * length].reshape(-1, length, *errors.shape[1:])
+    moved = _short(parts - parts[:, :1])
+    shift = moved.mean(axis=1, keepdims=True)
+    return _short(parts[:, 0] + shift[:, 0]), (moved - shift).reshape(-1, *errors.shape[1:])
+
+
+def pooled_level(
+    errors: Sequence[np.ndarray], share: float = 0.95, *, confidence: float = 0.95, resamples: int = 2000, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The level of |error| over all samples of all runs, and its bootstrap interval: (level, low, high), (...) each.
+
+    Runs are drawn, not samples, because the samples of a run depend on each other. Efron and Tibshirani (1993),
+    chapter 13, percentile interval.
+
+    Parameters
+    ----------
+    errors : of every run, (N, ...)
+    share : () of all samples, in (0, 1]
+    confidence : () of the interval, in (0, 1)
+    resamples, seed : of the bootstrap
+
+    Raises
+    ------
+    ScenarioError
+        Fewer than two runs, a share or a confidence outside its range.
+    """
+    if len(errors) < 2:
+        raise ScenarioError(f"errors: got {len(errors)} run; an interval over runs needs two at least")
+    if not (0 < share <= 1 and 0 < confidence < 1):
+        raise ScenarioError(f"share = {share}, confidence = {confidence}: give parts of (0, 1]")
+    sizes = np.array([np.abs(run) for run in errors])
+    draws = np.random.default_rng(seed).multinomial(len(sizes), np.full(len(sizes), 1 / len(sizes)), resamples)
+    levels = np.quantile(sizes.reshape(-1, *sizes.shape[2:]), np.linspace(0, 1, GRID), axis=0, method="inverted_cdf")
+    found = np.empty((3, *sizes.shape[2:]))
+    for at in np.ndindex(sizes.shape[2:]):
+        column, grid = np.sort(sizes[(..., *at)], axis=1), levels[(slice(None), *at)]
+        below = np.array([np.searchsorted(run, grid, side="right") for run in column]) / column.shape[1]  # (runs, GRID)
+        drawn = grid[np.argmax(draws @ below / len(sizes) >= share - 1e-12, axis=1)]
+        found[(slice(None), *at)] = (
+            quantile(sizes[(..., *at)].ravel(), share),
+            *np.quantile(drawn, [(1 - confidence) / 2, (1 + confidence) / 2]),
+        )
+    return found[0], found[1], found[2]
 
 
 def settling_time(time: np.ndarray, angle: np.ndarray, threshold: float) -> float:
@@ -216,6 +282,11 @@ def clopper_pearson(successes: ArrayLike, runs: ArrayLike, confidence: float = 0
     tail = (1 - confidence) / 2
     low = np.where(k == 0, 0.0, beta.ppf(tail, np.maximum(k, 1), n - k + 1))
     return low, np.where(k == n, 1.0, beta.ppf(1 - tail, k + 1, np.maximum(n - k, 1)))
+
+
+def _short(angles: np.ndarray) -> np.ndarray:
+    """Angles in [-pi, pi)."""
+    return (angles + np.pi) % (2 * np.pi) - np.pi
 
 
 def _levels(run: Run, start: float, delta_t: float, share: float, threshold: float) -> Any:

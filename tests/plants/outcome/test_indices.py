@@ -176,3 +176,44 @@ def test_exact_binomial_interval():
             indices.clopper_pearson(*bad)
     with pytest.raises(ScenarioError, match="confidence"):
         indices.clopper_pearson(1, 2, 1.0)
+
+
+def test_windows_split_an_error_into_its_means_and_the_rest():
+    rng = np.random.default_rng(0)
+    errors = np.radians(rng.normal(size=(23, 2)))
+    mean, relative = indices.windows(errors, 5)
+    parts = errors[:20].reshape(4, 5, 2)
+    np.testing.assert_allclose(mean, parts.mean(axis=1), atol=1e-15)
+    np.testing.assert_allclose(relative, (parts - parts.mean(axis=1, keepdims=True)).reshape(20, 2), atol=1e-15)
+    turned, same = indices.windows(errors % (2 * np.pi) - np.pi, 5)  # half a turn on
+    np.testing.assert_allclose(same, relative, atol=1e-14)
+    np.testing.assert_allclose(np.cos(turned), -np.cos(mean), atol=1e-14)
+    across, _ = indices.windows(np.radians([179.0, -179.0, -177.0]), 3)
+    assert np.degrees(across) == pytest.approx([-179.0])
+    for length in (0, 24, 2.5):
+        with pytest.raises(ScenarioError, match="whole number of samples from 1 to 23"):
+            indices.windows(errors, length)
+
+
+def test_pooled_level_and_its_interval():
+    """The interval of runs whose samples are all alike is that of as many independent numbers."""
+    rng = np.random.default_rng(1)
+    drawn = rng.normal(size=(400, 1, 1))
+    level, low, high = indices.pooled_level(np.repeat(drawn, 50, axis=1))
+    assert level[0] == np.quantile(np.abs(drawn), 0.95, method="inverted_cdf")
+    a, b = np.sort(np.abs(drawn.ravel()))[[370, 389]]  # order statistics: P(371 <= Binomial(400, 0.95) < 390) = 0.97
+    assert a * 0.98 < low[0] < level[0] < high[0] < b * 1.02
+    with pytest.raises(ScenarioError, match="two at least"):
+        indices.pooled_level([np.zeros(5)])
+    with pytest.raises(ScenarioError, match="share = 2"):
+        indices.pooled_level([np.zeros(5)] * 2, share=2)
+
+
+def test_the_interval_covers_the_level_as_often_as_it_says():
+    """Thirty runs of correlated samples, a hundred times."""
+    rng, hits = np.random.default_rng(2), 0
+    for _ in range(100):
+        runs = rng.normal(size=(30, 1)) * 0.7 + rng.normal(size=(30, 40)) * np.sqrt(1 - 0.49)
+        _, low, high = indices.pooled_level([*runs[..., None]], 0.9, resamples=400)
+        hits += low[0] < 1.6448536 < high[0]
+    assert hits >= 85
