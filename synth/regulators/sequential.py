@@ -75,7 +75,8 @@ class SequentialController:
     @property
     def system(self) -> StateSpace:
         """The controller with the rounded matrices and without limits, as a StateSpace in double precision."""
-        return StateSpace(*(M.astype(float) for M in (self.A, self.B, self.C, self.D)), self.dt)
+        A, B, C, D = (M.astype(float) for M in (self.A, self.B, self.C, self.D))
+        return StateSpace(A, B, C, D, self.dt)
 
     def init(self) -> State:
         """Zero states, and zero commands as far as the limits allow."""
