@@ -30,15 +30,16 @@ import numpy as np
 
 from synth.analysis.coprime import gang_of_four
 from synth.checks import as_path
+from synth.command import studyschemas
 from synth.command.tables import Table
 from synth.delivery.acceptance import Acceptance, Requirements, accept, sampled
 from synth.delivery.modelfiles import FRACTIONS, NINE, Model, read
 from synth.errors import ModelError, SpecificationError, SynthError
 from synth.files import DEEPEST, is_device, parsed
+from synth.mistakes import Record
 from synth.regulators.antiwindup import AntiWindup
 from synth.synthesis.design import Design
-from synth.synthesis.hinfinity import METHODS, hinfsyn
-from synth.synthesis.loopshaping import METHODS as SHAPING_METHODS
+from synth.synthesis.hinfinity import hinfsyn
 from synth.synthesis.loopshaping import ncfsyn
 from synth.synthesis.mixedsensitivity import augw, mixsyn
 from synth.systems.connect import input_delay
@@ -104,7 +105,7 @@ def read_study(path: str | os.PathLike[str]) -> Study:
     except ModelError as error:
         raise SpecificationError(path.name, [f"the file cannot be read: {error}"]) from None
     problems: list[str] = []
-    study = _study(Table(data, "", problems), path.parent)
+    study = _study(Table(data, "", problems, studyschemas.File), path.parent)
     if problems or study is None:
         raise SpecificationError(path.name, problems)
     return study
@@ -120,28 +121,26 @@ def _toml(text: str) -> dict[str, Any]:
 
 def _study(root: Table, folder: Path) -> Study | None:
     """The whole file; None if something in it is wrong."""
-    described = root.table("plant", needed=True)
+    plant_data, synthesis_data, weights_data = (root.get(key, {}) for key in ("plant", "synthesis", "weights"))
+    described = Table(plant_data, "plant", root.problems, _plant_kind(plant_data) if root.given("plant") else None)
     plant, about = _plant(described, folder)
-    synthesis, weights = root.table("synthesis", needed=True), root.table("weights")
-    problem = synthesis.text("problem", PROBLEMS)
-    if problem is None and not synthesis.has("problem"):
-        synthesis.wrong("problem", f"missing; one of {', '.join(PROBLEMS)}")
-    options = _options(synthesis, problem)
-    negative = problem == "loopshaping" and synthesis.text("feedback", ("negative", "positive")) == "negative"
+    problem = synthesis_data.get("problem")
+    problem = problem if isinstance(problem, str) and problem in PROBLEMS else None
+    kind = studyschemas.SYNTHESIS.get(problem or "", studyschemas.AnySynthesis)
+    synthesis = Table(synthesis_data, "synthesis", root.problems, kind if root.given("synthesis") else None)
+    weights = Table(weights_data, "weights", root.problems, studyschemas.WEIGHTS.get(problem or ""))
+    options = _options(synthesis)
+    negative = problem == "loopshaping" and synthesis.get("feedback") == "negative"
     target = _weighed(problem, plant, about, weights, options, negative)
     signals = _errors(about) if problem == "mixedsensitivity" else {}
     if problem == "loopshaping":
-        for key in {"u", "y", "units"} & described.data.keys():
+        for key in described.given("u", "y", "units"):
             described.wrong(key, "loop shaping has no use for names: its plant is the shaped one; leave this away")
     m = None if plant is None else plant.sizes[2] if isinstance(plant, GeneralizedPlant) else plant.nu
-    asked = root.table("specifications")
+    asked = Table(root.get("specifications", {}), "specifications", root.problems, studyschemas.Specifications)
     requirements, gate, max_norm = _specifications(asked, m)
     if plant is not None and plant.dt == 0 and "dt" not in gate and (gate or requirements != Requirements()):
         asked.wrong("dt", "missing; the gate measures a sampled controller: at which period, in s, is it to run?")
-    if problem is not None:  # else it is not known which keys belong there
-        synthesis.close()
-        weights.close()
-    root.close()
     if root.problems or problem is None or target is None:
         return None
     return Study(problem, target, options, requirements, gate, max_norm, signals)
@@ -149,16 +148,15 @@ def _study(root: Table, folder: Path) -> Study | None:
 
 def _plant(table: Table, folder: Path) -> tuple[GeneralizedPlant | StateSpace | None, dict[str, Any]]:
     """The plant, sampled if that is asked for, and the names and units of its signals."""
-    about: dict[str, Any] = {key: table.names(key) for key in ("u", "y")}
-    units = table.table("units")
-    about["units"] = {key: units.text(key) for key in units.data}
-    sample, hold = table.number("sample", above=0), table.text("hold", ("zoh", "tustin"), "zoh")
+    about: dict[str, Any] = {key: tuple(table.get(key, ())) for key in ("u", "y")}
+    about["units"] = dict(table.get("units", {}))
+    sample, hold = table.get("sample"), table.get("hold", "zoh")
     before = len(table.problems)
     try:
-        plant = _from_file(table, folder, about) if table.has("file") else _from_matrices(table)
+        plant = _from_file(table, folder, about) if "file" in table.data else _from_matrices(table)
         if sample is not None and plant is not None:
-            plant = _sampled(plant, sample, hold or "zoh")
-        if table.has("delay") and plant is not None:
+            plant = _sampled(plant, sample, hold)
+        if "delay" in table.data and plant is not None:
             if isinstance(plant, GeneralizedPlant):
                 raise ModelError(
                     "delay is for a plant with inputs u alone; put it into A, B1, ... of a generalised one"
@@ -173,8 +171,17 @@ def _plant(table: Table, folder: Path) -> tuple[GeneralizedPlant | StateSpace | 
             if about[key] and len({*about[key]}) != size:
                 table.wrong(key, f"expected {size} different names, found {len({*about[key]})}")
                 about[key] = ()
-    table.close()
     return plant, about
+
+
+def _plant_kind(data: dict[str, Any]) -> type[Record]:
+    """What a table of a plant holds, by the keys that it has."""
+    if "file" in data:
+        return studyschemas.FilePlant
+    if any(key in data for keys in FRACTIONS for key in keys):
+        return studyschemas.FractionPlant
+    nine = any(name in data for name in NINE[1:])
+    return studyschemas.GeneralizedPlant if nine else studyschemas.MatrixPlant
 
 
 def _sampled(plant: GeneralizedPlant | StateSpace, dt: float, hold: str) -> GeneralizedPlant | StateSpace:
@@ -188,7 +195,7 @@ def _sampled(plant: GeneralizedPlant | StateSpace, dt: float, hold: str) -> Gene
 
 def _from_file(table: Table, folder: Path, about: dict[str, Any]) -> GeneralizedPlant | StateSpace | None:
     """The plant in a file beside the study."""
-    name = table.text("file")
+    name = table.get("file")
     if name is None:
         return None
     if trouble := _stray(name):
@@ -220,9 +227,7 @@ def _stray(name: str) -> str:
 
 def _from_matrices(table: Table) -> GeneralizedPlant | StateSpace | None:
     """The plant from its matrices; shapes follow A and D, or A, D11 and D22."""
-    dt = table.number("dt", least=0)
-    if dt is None and "dt" not in table.data:
-        table.wrong("dt", "missing; 0 for continuous time, or the sampling time in s")
+    dt = table.get("dt")
     if given := _fraction(table):
         return None if dt is None else as_system(table.path, given | {"dt": dt})
     nine = any(name in table.data for name in NINE[1:])
@@ -241,7 +246,7 @@ def _from_matrices(table: Table) -> GeneralizedPlant | StateSpace | None:
 
 def _fraction(table: Table) -> dict[str, Any]:
     """Polynomials, or zeros, poles and gain, if the table has them."""
-    return {key: table.data[key] for keys in FRACTIONS for key in keys if key in table.data and table.has(key)}
+    return table.given(*(key for keys in FRACTIONS for key in keys))
 
 
 def _expected(name: str, rows: dict[str, Any], n: int | None) -> tuple[int | None, int | None]:
@@ -258,17 +263,10 @@ def _expected(name: str, rows: dict[str, Any], n: int | None) -> tuple[int | Non
     return shapes[name]
 
 
-def _options(table: Table, problem: str | None) -> dict[str, Any]:
+def _options(table: Table) -> dict[str, Any]:
     """Options of the synthesis function; those left out keep its defaults."""
-    methods = SHAPING_METHODS if problem == "loopshaping" else METHODS
-    found = {"method": table.text("method", methods), "gamma": table.number("gamma", above=0)}
-    if problem == "loopshaping":
-        found["gamma_factor"] = table.number("gamma_factor", above=1)
-    else:
-        found["tol"] = table.number("tol", above=0)
-    if problem == "mixedsensitivity":
-        found["shift"] = table.number("shift", least=0)
-    return {key: value for key, value in found.items() if value is not None}
+    found = table.given("method", "gamma", "gamma_factor", "tol", "shift")
+    return {key: value if key == "method" else float(value) for key, value in found.items()}
 
 
 def _weighed(
@@ -290,12 +288,12 @@ def _weighed(
     m, q = (None, None) if plant is None else (plant.nu, plant.ny)
     if problem == "loopshaping":
         for key, size in (("W1", m), ("W2", q)):
-            if weights.has(key):
+            if key in weights.data:
                 options[key] = _shaping_weight(weights, key, size, plant)
         return -plant if plant is not None and negative else plant
     if problem == "mixedsensitivity":
         sizes = {"W1": q, "W2": m, "W3": q}
-        chosen = {key: _shaping_weight(weights, key, size, plant) for key, size in sizes.items() if weights.has(key)}
+        chosen = {key: _shaping_weight(weights, key, size, plant) for key, size in sizes.items() if key in weights.data}
         options |= chosen
         if plant is None or any(W is None for W in chosen.values()):
             return None
@@ -306,11 +304,8 @@ def _weighed(
             return None
         return plant
     size = {"u": m, "y": q}
-    found = {
-        key: _shaping_weight(weights, key, size[signals], plant)
-        if weights.has(key)
-        else weights.matrix(key, (size[signals], size[signals]))
-        for key, signals in TRACKING.items()
+    found: dict[str, Any] = {
+        key: _shaping_weight(weights, key, size[signals], plant) for key, signals in TRACKING.items()
     }
     if plant is None or any(W is None for W in found.values()):
         return None
@@ -331,12 +326,11 @@ def _errors(about: dict[str, Any]) -> dict[str, Any]:
 
 def _shaping_weight(weights: Table, key: str, size: int | None, plant: StateSpace | None) -> Any:
     """A matrix, or a system with the timebase of the plant."""
-    given = weights.data[key]
+    given = weights.get(key)
     if not isinstance(given, dict) or not SYSTEM & given.keys():
         return weights.matrix(key, (size, size))
-    table = weights.table(key)
+    table = Table(given, weights.at(key), weights.problems)
     if given := _fraction(table):
-        table.close()
         try:
             return None if plant is None else as_system(key, given | {"dt": plant.dt})
         except ModelError as error:
@@ -345,7 +339,6 @@ def _shaping_weight(weights: Table, key: str, size: int | None, plant: StateSpac
     n = len(table.data["A"]) if isinstance(table.data.get("A"), list) else None
     shape = {"A": (n, n), "B": (n, None), "C": (None, n), "D": (None, None)}
     rows = {name: table.matrix(name, shape[name]) for name in "ABCD"}
-    table.close()
     if plant is None or any(M is None for M in rows.values()):
         return None
     try:
@@ -357,21 +350,11 @@ def _shaping_weight(weights: Table, key: str, size: int | None, plant: StateSpac
 
 def _specifications(table: Table, m: int | None) -> tuple[Requirements, dict[str, Any], float | None]:
     """What is asked of the design."""
-    ratios = ("ratio", "delay_ratio")
-    required = {
-        f.name: table.number(f.name, above=0) if f.name in ratios else table.number(f.name, least=0)
-        for f in fields(Requirements)
-    }
-    gate = {
-        "dt": table.number("dt", above=0),
-        "overload": table.number("overload", above=1),
-        "umin": table.vector("umin", m),
-        "umax": table.vector("umax", m),
-        "antiwindup": table.boolean("antiwindup") or None,
-    }
-    if gate["antiwindup"] and gate["umin"] is None and gate["umax"] is None:
-        table.wrong("antiwindup", "there are no limits; give umin and umax")
-    max_norm = table.number("max_norm", above=0)
-    table.close()
-    given = {key: value for key, value in gate.items() if value is not None}
-    return Requirements(**{key: v for key, v in required.items() if v is not None}), given, max_norm
+    gate = table.given("dt", "overload")
+    gate |= {key: limits for key in ("umin", "umax") if (limits := table.vector(key, m)) is not None}
+    if table.get("antiwindup"):
+        gate["antiwindup"] = True
+        if not {"umin", "umax"} & table.data.keys():
+            table.wrong("antiwindup", "there are no limits; give umin and umax")
+    requirements = Requirements(**table.given(*(f.name for f in fields(Requirements))))
+    return requirements, gate, table.get("max_norm")

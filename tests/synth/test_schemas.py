@@ -4,17 +4,22 @@ import json
 import subprocess
 import sys
 from dataclasses import fields
+from typing import get_args
 
 import pytest
 from literature import cubesat_pecorilla2024
 
 from synth import mistakes, schemas
+from synth.command import studyschemas
+from synth.command.specification import PROBLEMS
+from synth.delivery.acceptance import Requirements
 from synth.delivery.modelfiles import read
 from synth.errors import MOST, ModelError
 from synth.files import sealed_by_parts
 from synth.synthesis.design import Design, to_dict
-from synth.synthesis.hinfinity import hinfsyn
+from synth.synthesis.hinfinity import METHODS, hinfsyn
 from synth.synthesis.info import Info
+from synth.synthesis.loopshaping import METHODS as SHAPING_METHODS
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace
 
@@ -31,6 +36,16 @@ def test_the_fields_are_those_of_the_classes():
         assert [*declared.model_fields] == [f.name for f in fields(built)]
     assert [*schemas.TimedSystem.model_fields] == [f.name for f in fields(StateSpace)][:5]
     assert {f.name for f in fields(Design)} - {"closed_loop"} <= {*schemas.Design.model_fields}
+
+
+def test_the_choices_of_a_study_are_those_of_the_functions():
+    def choices(kind, field):
+        return get_args(kind.model_fields[field].annotation)
+
+    assert choices(studyschemas.Synthesis, "method") == METHODS
+    assert choices(studyschemas.ShapingSynthesis, "method") == SHAPING_METHODS
+    assert choices(studyschemas.Synthesis, "problem") == PROBLEMS == (*studyschemas.SYNTHESIS,)
+    assert {f.name for f in fields(Requirements)} <= {*studyschemas.Specifications.model_fields}
 
 
 def test_all_mistakes_are_told_at_once_on_one_line(design, tmp_path):

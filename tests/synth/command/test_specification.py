@@ -221,6 +221,15 @@ def test_each_mistake_names_its_path(tmp_path, old, new, problem):
     assert any(text.startswith(problem) for text in problems_of(TRACKING.replace(old, new), tmp_path))
 
 
+def test_mistakes_of_kind_and_of_shape_are_told_together(tmp_path):
+    """What is wrong in itself hides nothing of what does not fit together."""
+    text = TRACKING.replace("B = [[0], [1]]", "B = [[0], [1], [2]]").replace("Wact = 1", 'Wact = "heavy"')
+    text = text.replace("diag = [1, 1]", "diag = [1, 1, 1]") + "[specifications]\numin = [nan]\nmax_norm = 0\n"
+    assert {problem.split(":")[0] for problem in problems_of(text, tmp_path)} == {
+        "plant.B", "weights.Wact", "specifications.umin", "specifications.max_norm",
+    }  # fmt: skip
+
+
 def test_files_that_are_none(tmp_path):
     with pytest.raises(SpecificationError, match="cannot be read"):
         read_study(tmp_path / "no.toml")
