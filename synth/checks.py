@@ -311,6 +311,8 @@ def as_cost(name: str, value: Any, size: int, *, definite: bool = False) -> np.n
 def as_limits(name: str, value: Any, size: int, free: tuple[float, ...] = (-np.inf, np.inf)) -> np.ndarray:
     """One limit per channel, (size,), a number standing for all; infinite ones in `free` mean no limit."""
     wanted = f"pass a number or {size} of them"
+    if isinstance(value, str | bytes):
+        raise ModelError(f"{name} is {shown(value)}; {wanted}")
     limits = as_array(name, value, wanted, finite=False)
     if np.asarray(value).dtype.kind not in "iuf" or np.isnan(limits).any() or limits.shape not in ((), (size,)):
         raise ModelError(f"{name} is {shown(value)}; {wanted}")

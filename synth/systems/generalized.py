@@ -62,7 +62,10 @@ class GeneralizedPlant:
         shapes = {"A": (n, n), "B1": (n, nw), "B2": (n, nu), "C1": (nz, n), "D11": (nz, nw)}
         shapes |= {"D12": (nz, nu), "C2": (ny, n), "D21": (ny, nw), "D22": (ny, nu)}
         for name, shape in shapes.items():
-            M = np.zeros(shape) if 0 in shape else as_matrix(name, getattr(self, name), shape)
+            value = getattr(self, name)
+            if 0 in shape and as_array(name, value).size:
+                raise ModelError(f"{name} has entries but A has none; pass the states' matrix A")
+            M = np.zeros(shape) if 0 in shape else as_matrix(name, value, shape)
             M.flags.writeable = False
             object.__setattr__(self, name, M)
         object.__setattr__(self, "dt", as_timebase(self.dt))

@@ -99,6 +99,15 @@ def test_a_system_with_what_belongs_to_none(tmp_path, change, message):
         read(tmp_path / "x.json")
 
 
+@pytest.mark.parametrize("place", ["controller", "plant"])
+@pytest.mark.parametrize("value", ["x", 1, [], {}, [[[1.0]]], [[1.0], [1.0, 2.0]]])
+def test_matrices_that_are_none(design, tmp_path, place, value):
+    """Once each of these ended in an IndexError."""
+    (tmp_path / "x.json").write_text(json.dumps(sealed_by_parts(design | {place: design[place] | {"A": value}})))
+    with pytest.raises(ModelError, match=f"incomplete or damaged: {place}"):
+        Design.load(tmp_path / "x.json")
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("data", [None, 1, "x", [], [[]], {}, {"a": 1}, True, {"A": {}}, {"end": {"v": 1}}, 1e308])
 def test_whatever_is_no_such_table_has_its_mistakes(kind, data):
