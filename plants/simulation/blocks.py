@@ -6,6 +6,7 @@ another compilation. `field(metadata={"static": True})` puts a field of floats a
 """
 
 import dataclasses
+import threading
 from collections.abc import Callable, Collection, Sequence
 from typing import Any, NamedTuple, TypeVar
 
@@ -15,6 +16,8 @@ import numpy as np
 from plants.errors import ScenarioError
 
 T = TypeVar("T")
+
+_registering = threading.Lock()  # JAX takes a class once, and threads fly at the same time
 
 
 class Form(NamedTuple):
@@ -79,13 +82,14 @@ def register(block: Any) -> None:
     members = [f for f in dataclasses.fields(block) if f.init]
     for f in members:
         register(getattr(block, f.name))
-    if not jax.tree_util.all_leaves([block]):
-        return  # already known to JAX
-    if not kind.__dataclass_params__.frozen:  # pyright: ignore[reportAttributeAccessIssue]
-        raise ScenarioError(f"{kind.__name__} is a mutable dataclass: declare it with frozen=True")
-    data = [f.name for f in members if _is_data(f, getattr(block, f.name))]
-    program = [f.name for f in members if f.name not in data]
-    node(kind, data, program)
+    with _registering:
+        if not jax.tree_util.all_leaves([block]):
+            return  # already known to JAX
+        if not kind.__dataclass_params__.frozen:  # pyright: ignore[reportAttributeAccessIssue]
+            raise ScenarioError(f"{kind.__name__} is a mutable dataclass: declare it with frozen=True")
+        data = [f.name for f in members if _is_data(f, getattr(block, f.name))]
+        program = [f.name for f in members if f.name not in data]
+        node(kind, data, program)
 
 
 def check_numbers(block: Any, name: str, *, finite: bool = False) -> None:

@@ -22,6 +22,8 @@ from plants.simulation.loop import Run
 from plants.simulation.progress import Bar
 from plants.simulation.store import Store
 
+FEW = 8  # runs: when so many have ended in an exception, and no other in anything else, the mistake is in all of them
+
 
 class Conducted(NamedTuple):
     """Batches in the order of their first index, and whether that is all."""
@@ -69,14 +71,14 @@ def conduct(
     StoreError, EngineError
         As `Store.writing` and `engines.carry_out`.
     ScenarioError
-        All runs of the first batch ended in an exception.
+        The first eight runs, or all, ended in an exception.
     """
     done: list[Batch] = []
     complete = False
     with contextlib.ExitStack() as stack:
-        stack.enter_context(terminable())
-        opened = None
+        signals = stack.enter_context(terminable())
         try:
+            opened = None
             if store is not None:
                 opened = stack.enter_context(Store.writing(store, what(), resume=resume))
                 for line in opened.damaged:
@@ -90,12 +92,11 @@ def conduct(
             with closing(found) as outcomes:
                 for chunk, outcome in outcomes:
                     part = _of_one_form(_lost(chunk, outcome) if isinstance(outcome, engines.Lost) else outcome, done)
-                    if not len(part.index) and not any(len(other.index) for other in done) and part.errors:
-                        index, text = next(iter(part.errors.items()))
-                        raise ScenarioError(f"every run of the first batch ended in an exception; run {index}:\n{text}")
-                    if opened is not None and not isinstance(outcome, engines.Lost):
-                        records.write(opened, part, dispersed)
-                    done.append(part)
+                    _check_some_sound([*done, part], count)
+                    with signals.later():
+                        if opened is not None and not isinstance(outcome, engines.Lost):
+                            records.write(opened, part, dispersed)
+                        done.append(part)
                     bar.update(len(chunk))
                     if on_batch is not None:
                         on_batch(sum(len(other.index) + len(other.errors) for other in done))
@@ -117,38 +118,75 @@ def chained(batches: Sequence[Batch], name: str) -> Any:
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *fields)
 
 
+class Signals:
+    """What came of SIGTERM and Ctrl-C: `Terminated` or KeyboardInterrupt, at once or when it does no harm."""
+
+    def __init__(self) -> None:
+        self._come: type[KeyboardInterrupt] | None = None
+        self._later = False
+
+    def __call__(self, number: int, _: Any) -> None:
+        """The handler."""
+        again = self._come is not None
+        self._come = Terminated if number == signal.SIGTERM else KeyboardInterrupt
+        if not self._later and not (again and number == signal.SIGTERM):  # it is ending already
+            raise self._come
+
+    @contextlib.contextmanager
+    def later(self) -> Iterator[None]:
+        """A finished batch is stored and counted, or neither; one that came before and was swallowed is told too."""
+        self._later = True
+        try:
+            yield
+        finally:
+            self._later = False
+        if self._come is not None:
+            raise self._come
+
+
 @contextlib.contextmanager
-def terminable() -> Iterator[None]:
-    """SIGTERM raises `Terminated` meanwhile, where nobody else handles it."""
-    own = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
-
-    def end(*_: Any) -> None:
-        raise Terminated
-
-    if own:
-        signal.signal(signal.SIGTERM, end)
+def terminable() -> Iterator[Signals]:
+    """SIGTERM and Ctrl-C are told to `Signals` meanwhile, where nobody else handles them."""
+    told, usual = Signals(), {signal.SIGTERM: signal.SIG_DFL, signal.SIGINT: signal.default_int_handler}
+    main = threading.current_thread() is threading.main_thread()
+    own = {number: before for number, before in usual.items() if main and signal.getsignal(number) == before}
+    for number in own:
+        signal.signal(number, told)
     try:
-        yield
+        yield told
     finally:
-        if own:
-            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        for number, before in own.items():
+            signal.signal(number, before)
+
+
+def _check_some_sound(parts: Sequence[Batch], count: int) -> None:
+    """Raise ScenarioError where the first runs all ended in an exception: it is not theirs."""
+    errors = {index: text for part in parts for index, text in part.errors.items()}
+    if len(errors) >= min(FEW, count) and not any(len(part.index) for part in parts):
+        index = min(errors)
+        raise ScenarioError(
+            f"every one of the first {len(errors)} runs ended in an exception; run {index}:\n{errors[index]}"
+        )
 
 
 def _from(store: Store, work: Callable[[Sequence[int]], Batch], refly: Any, keep: Sequence[int]) -> list[Batch]:
     """What a store holds, after one of its runs was flown again and came out the same."""
-    if not len(store.index):
+    table = store.table()
+    if not len(table):
         return []
-    first = records.first_sound(store)
+    first = records.first_sound(table)
     if first is None:
-        return [NOTHING._replace(errors=records.errors(store))]
+        return [NOTHING._replace(errors=records.errors(table))]
     again = work([first])
-    records.check_again(store, again)
-    stored = records.read(store, again)
+    stored = records.read(store, table, again)
+    records.check_again(store, stored, again)
     wanted = [int(index) for index in stored.index if index in set(keep)]
     if refly is not None and wanted:
         like, kept = refly(first), set(store.kept)
         for index in wanted:
-            stored.kept[index] = records.read_run(store, index, like) if index in kept else refly(index)
+            if index not in kept:
+                records.write_run(store, index, refly(index))
+            stored.kept[index] = records.read_run(store, index, like)
     return [stored]
 
 
@@ -162,9 +200,9 @@ def _of_one_form(part: Batch, done: Sequence[Batch]) -> Batch:
     first = next((other for other in done if len(other.index)), None)
     if first is None or not len(part.index):
         return part
-    (structure, now), (wanted, then) = form(part.results), form(first.results)
-    if structure == wanted and [s[1:] for s in now] == [s[1:] for s in then]:
-        return part
+    (structure, now, text), (wanted, then, texts) = form(part.results), form(first.results)
     shapes, others = [s[1:] for s in now], [s[1:] for s in then]
+    if (structure, shapes, text) == (wanted, others, texts):
+        return part
     text = f"measure returned shapes {shapes}, for run {first.index[0]} {others}: return one form"
     return NOTHING._replace(errors={**part.errors, **{int(i): text for i in part.index}})

@@ -8,6 +8,7 @@ another; a chunk that ends its process again and again, also alone, comes back a
 import contextlib
 import functools
 import os
+import platform
 import threading
 import time
 from collections.abc import Callable, Generator, Sequence
@@ -27,6 +28,7 @@ Outcomes = Generator[tuple[Chunk, Any], None, None]
 
 TRIES = 5  # processes that a chunk may end before it is given up
 PATIENCE = 30.0  # s, for a scheduler to answer and for its first worker
+ABSENCE = 300.0  # s, for another worker when there is none any more
 IDLE = 10  # s, after which a process without work ends
 AHEAD = 3  # chunks in flight for each worker of a cluster
 
@@ -100,7 +102,7 @@ def _in_processes(work: Work[T], chunks: Sequence[Chunk], workers: int) -> Outco
     payload, waiting, tries = _pickled(work), list(reversed(chunks)), {}
 
     def pool() -> Any:
-        return ProcessPoolExecutor(workers, timeout=IDLE, initializer=_settle_in, initargs=(os.getpid(),))
+        return ProcessPoolExecutor(workers, timeout=IDLE, initializer=_settle_in, initargs=(os.getpid(), payload))
 
     def end(executor: Any) -> None:
         executor.shutdown(wait=False, kill_workers=True)
@@ -110,19 +112,22 @@ def _in_processes(work: Work[T], chunks: Sequence[Chunk], workers: int) -> Outco
     pending: dict[Future, Chunk] = {}
     try:
         while waiting or suspects or pending:
-            given = None
             try:
                 while len(pending) < (workers if waiting else 1) and (waiting or suspects):
-                    given = waiting.pop() if waiting else suspects.pop()
-                    pending[executor.submit(_called, payload, given)] = given
-                given = None
+                    line = waiting or suspects
+                    pending[executor.submit(_called, line[-1])] = line[-1]
+                    line.pop()
                 for future in wait(pending, timeout=0.5, return_when=FIRST_COMPLETED).done:
                     outcome = future.result()
                     yield pending.pop(future), outcome
             except BrokenProcessPool as broken:
-                for chunk in [*pending.values(), *([] if given is None else [given])]:
-                    tries[chunk[0]] = tries.get(chunk[0], 0) + 1
-                    if len(pending) == 1 and tries[chunk[0]] >= TRIES:
+                alone = len(pending) == 1
+                for future, chunk in pending.items():
+                    if future.done() and not future.exception():
+                        yield chunk, future.result()
+                        continue
+                    tries[chunk[0]] = tries.get(chunk[0], 0) + alone
+                    if tries[chunk[0]] >= TRIES:
                         yield chunk, Lost(f"{TRIES} worker processes ended while it was worked on: {_reason(broken)}")
                     else:
                         suspects.append(chunk)
@@ -139,7 +144,7 @@ def _on_cluster(work: Work[T], chunks: Sequence[Chunk], address: str) -> Outcome
         import distributed
     except ImportError as missing:
         raise EngineError(f"scheduler = {address!r} needs Dask: pip install 'convex-synth[dask]'") from missing
-    payload, tries = _pickled(work), {}
+    payload, here = _pickled(work), tuple(versions.of_packages().items())
     try:
         client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
@@ -153,16 +158,21 @@ def _on_cluster(work: Work[T], chunks: Sequence[Chunk], address: str) -> Outcome
             raise EngineError(
                 f"scheduler = {address!r} has no worker after {PATIENCE:g} s: start one with `dask worker {address}`"
             ) from error
-        _same_versions(client, address)
         try:
-            shared = client.submit(
-                _itself, payload
-            )  # a task, which can be done again; scattered data is lost with its worker
-            waiting, pending = iter(chunks), {}
+            _ask_all(client, here, address)
+            # a task, which can be done again; scattered data is lost with its worker
+            shared = client.submit(_itself, payload)
+            waiting, pending, tries, seen = iter(chunks), {}, {}, time.monotonic()
             while True:
-                room = AHEAD * max(1, len(client.scheduler_info(n_workers=-1)["workers"])) - len(pending)
-                for chunk in islice(waiting, max(0, room)):
-                    pending[client.submit(_called, shared, chunk, pure=False)] = chunk
+                hands = len(client.scheduler_info(n_workers=-1)["workers"])
+                seen = time.monotonic() if hands else seen
+                if time.monotonic() - seen > ABSENCE:
+                    raise EngineError(
+                        f"scheduler = {address!r} has had no worker for {ABSENCE:g} s: start one with `dask worker "
+                        f"{address}`, then resume; what was flown by then is in the store"
+                    )
+                for chunk in islice(waiting, max(0, AHEAD * max(1, hands) - len(pending))):
+                    pending[client.submit(_called_there, shared, here, chunk, pure=False)] = chunk
                 if not pending:
                     return
                 try:
@@ -173,36 +183,42 @@ def _on_cluster(work: Work[T], chunks: Sequence[Chunk], address: str) -> Outcome
                 for future in done:
                     chunk = pending.pop(future)
                     try:
-                        yield chunk, future.result()
+                        outcome = future.result()
                     except distributed.KilledWorker as killed:
                         tries[chunk[0]] = tries.get(chunk[0], 0) + 1
-                        if tries[chunk[0]] >= 2:
-                            yield chunk, Lost(f"the workers that worked on it ended: {_reason(killed)}")
-                        else:
-                            pending[client.submit(_called, shared, chunk, pure=False)] = chunk
+                        if tries[chunk[0]] < 2:
+                            pending[client.submit(_called_there, shared, here, chunk, pure=False)] = chunk
+                            continue
+                        outcome = Lost(f"the workers that worked on it ended: {_reason(killed)}")
+                    yield chunk, outcome
+        except ImportError as error:
+            raise _foreign(address) from error
         except (distributed.CancelledError, OSError) as error:
             raise EngineError(
                 f"scheduler = {address!r} was lost: what was flown by then is in the store; start the scheduler again "
-                "and resume"
+                "and resume, here or there"
             ) from error
 
 
-def _same_versions(client: Any, address: str) -> None:
+def _ask_all(client: Any, here: tuple[tuple[str, str], ...], address: str) -> None:
     """Raise EngineError where a worker would compute with other packages."""
-    ours = versions.of_packages()
-    try:
-        found = client.run(versions.of_packages)
-    except Exception as error:
-        raise EngineError(
-            f"scheduler = {address!r}: its workers cannot import plants: install convex-synth there"
-        ) from error
-    for worker, theirs in found.items():
-        for name, version in ours.items():
-            if theirs.get(name) != version:
-                raise EngineError(
-                    f"worker {worker} has {name} {theirs.get(name)}, this machine {version}: results would differ; "
-                    "install the same versions, see requirements/run.txt"
-                )
+    for worker, answer in client.run(_mismatch, here, on_error="return").items():
+        if isinstance(answer, str) and answer:
+            raise EngineError(f"worker {worker} {answer}")
+        if isinstance(answer, Exception) and not isinstance(answer, OSError):  # which is a worker that ends just now
+            raise _foreign(address) from answer
+
+
+def _foreign(address: str) -> EngineError:
+    return EngineError(f"scheduler = {address!r}: its workers cannot import plants: install convex-synth there")
+
+
+def _mismatch(here: tuple[tuple[str, str], ...]) -> str:
+    """In a worker: what it has in other versions than the machine that asks, "" if nothing."""
+    theirs = versions.of_packages()
+    other = [f"{name} {theirs.get(name)}, this machine {version}" for name, version in here if theirs[name] != version]
+    advice = "results would differ; install the same versions, see requirements/run.txt"
+    return f"has {'; '.join(other)}: {advice}" if other else ""
 
 
 def _pickled(work: Any) -> bytes:
@@ -221,24 +237,50 @@ def _itself(payload: bytes) -> bytes:
     return payload
 
 
-def _called(payload: bytes, chunk: Chunk) -> Any:
-    """In the worker: the work on one chunk."""
+_payload = b""  # of this process, if it works for `_in_processes`
+
+
+def _called(chunk: Chunk) -> Any:
+    """In a process of ours: the work on one chunk."""
+    return _unpickled(_payload)(chunk)
+
+
+def _called_there(payload: bytes, here: tuple[tuple[str, str], ...], chunk: Chunk) -> Any:
+    """In a worker of a cluster, which may have come later than the others: the same."""
+    if other := _mismatch(here):
+        raise EngineError(f"worker {platform.node()} {other}")
     return _unpickled(payload)(chunk)
 
 
-@functools.lru_cache(maxsize=1)
+_unpickling = threading.Lock()  # a worker of a cluster has several threads
+
+
 def _unpickled(payload: bytes) -> Any:
     """The work; once in a process, so that its blocks stay the same objects."""
+    with _unpickling:
+        return _loaded(payload)
+
+
+@functools.lru_cache(maxsize=2)
+def _loaded(payload: bytes) -> Any:
     import cloudpickle
 
-    with jax.enable_x64(True):  # or arrays of JAX would come out with 7 digits
-        return cloudpickle.loads(payload)
+    try:
+        with jax.enable_x64(True):  # or arrays of JAX would come out with 7 digits
+            return cloudpickle.loads(payload)
+    except Exception as error:
+        raise EngineError(
+            f"case, shared or measure cannot be had in another process ({type(error).__name__}: {error}): make their "
+            "module importable there (PYTHONPATH of the workers), or build what cannot be pickled inside case"
+        ) from error
 
 
-def _settle_in(parent: int) -> None:
+def _settle_in(parent: int, payload: bytes) -> None:
     """In a new process: Ctrl-C is for the parent, without which there is nothing to do."""
     import signal
 
+    global _payload
+    _payload = payload
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def watch() -> None:

@@ -170,14 +170,17 @@ def confirmed(applied: Any, dispersed: Any, index: int) -> Any:
 
 
 def form(result: Any) -> Any:
-    """Structure of a pytree of numbers, and the shapes of its leaves."""
-    return jax.tree.structure(result), [np.shape(leaf) for leaf in jax.tree.leaves(result)]
+    """Structure of a pytree of numbers, the shapes of its leaves, and which of them are texts."""
+    arrays = [np.asarray(leaf) for leaf in jax.tree.leaves(result)]
+    return jax.tree.structure(result), [leaf.shape for leaf in arrays], [leaf.dtype.kind == "U" for leaf in arrays]
 
 
 def alike(result: Any, others: dict[int, Any]) -> Any:
     """A result of the form that those of other runs have; ScenarioError otherwise."""
     blocks.register(result)
-    if not jax.tree.leaves(result) or any(np.asarray(leaf).dtype == object for leaf in jax.tree.leaves(result)):
+    if not jax.tree.leaves(result) or any(
+        np.asarray(leaf).dtype.kind not in "fiubcU" for leaf in jax.tree.leaves(result)
+    ):
         raise ScenarioError(f"measure returned {type(result).__name__}: return numbers, in a NamedTuple for example")
     if others:
         first = next(iter(others))

@@ -8,9 +8,10 @@ import numpy as np
 import pyarrow as pa
 
 from plants.errors import StoreError
+from plants.simulation.columns import array
 from plants.simulation.flights import ARRAYS, Batch
 from plants.simulation.loop import Run
-from plants.simulation.store import Store, array
+from plants.simulation.store import Store
 
 EXCEPTION = "exception"  # culprit of a run that ended in one, in a store
 NEAR = 1e-9  # relative; what another processor may make of a flight
@@ -19,7 +20,10 @@ NEAR = 1e-9  # relative; what another processor may make of a flight
 def leaves(tree: Any, root: str) -> dict[str, Any]:
     """Leaves by a name such as "results.outcome.angle"."""
     named = jax.tree_util.tree_flatten_with_path(tree)[0]
-    return {".".join([root, *(str(_key(entry)) for entry in path)]): leaf for path, leaf in named}
+    found = {".".join([root, *(str(_key(entry)) for entry in path)]): leaf for path, leaf in named}
+    if len(found) < len(named):
+        raise StoreError(f"two columns of {root} would be of one name ({', '.join(found)}): no dots in names of fields")
+    return found
 
 
 def write(store: Store, batch: Batch, dispersed: Any) -> None:
@@ -42,7 +46,7 @@ def write(store: Store, batch: Batch, dispersed: Any) -> None:
         "ok": np.append(batch.ok, np.zeros(count, bool)),
         "failed_at": np.append(batch.failed_at, np.full(count, np.nan)),
         "culprit": np.array([*batch.culprit, *[EXCEPTION] * count], str),
-        "error": np.array([*[""] * len(batch.index), *batch.errors.values()], str),
+        "error": np.array([*[""] * len(batch.index), *map(_plain, batch.errors.values())], str),
     } | {name: np.asarray(leaf)[index] for name, leaf in leaves(dispersed, "dispersed").items()}
     measured = {**leaves(batch.results, "results"), **leaves(batch.applied, "applied")}
     for name, values in measured.items():
@@ -50,9 +54,19 @@ def write(store: Store, batch: Batch, dispersed: Any) -> None:
     store.write(given, missing=dict.fromkeys(measured, np.arange(len(index)) >= len(batch.index)))
 
 
-def read(store: Store, like: Batch) -> Batch:
-    """All rows of a store, in the form of a batch; the trajectories stay where they are."""
-    table = store.table()
+def read(store: Store, table: pa.Table, like: Batch) -> Batch:
+    """The rows of a store's table, in the form of a batch; the trajectories stay where they are.
+
+    Raises
+    ------
+    StoreError
+        `like` is of another form, or an exception.
+    """
+    if like.errors:
+        index, text = next(iter(like.errors.items()))
+        raise StoreError(
+            f"store {store.folder}: run {index} ends in an exception now, which it did not; give another folder\n{text}"
+        )
     sound = table.filter(_without_error(table))
     columns = {name: array(sound.column(name), sound.schema.field(name)) for name in sound.column_names}
 
@@ -73,35 +87,28 @@ def read(store: Store, like: Batch) -> Batch:
         applied=None if like.applied is None else tree(like.applied, "applied"),
         varied=like.varied,
         kept={},
-        errors=errors(store),
+        errors=errors(table),
     )
 
 
-def errors(store: Store) -> dict[int, str]:
+def errors(table: pa.Table) -> dict[int, str]:
     """Tracebacks of the stored runs that ended in an exception, by index."""
-    told = store.table(["index", "error"]).to_pydict()
+    told = table.select(["index", "error"]).to_pydict()
     return {index: text for index, text in zip(told["index"], told["error"], strict=True) if text}
 
 
-def first_sound(store: Store) -> int | None:
+def first_sound(table: pa.Table) -> int | None:
     """Index of the first stored run that did not end in an exception."""
-    table = store.table(["index", "error"])
     index = table.filter(_without_error(table)).column("index")
     return index[0].as_py() if len(index) else None
 
 
-def check_again(store: Store, again: Batch) -> None:
+def check_again(store: Store, stored: Batch, again: Batch) -> None:
     """Raise StoreError where a stored run comes out otherwise when it is flown again.
 
     A hash tells whether `case` and `measure` have changed, not whether what they call has.
     """
-    index = int(again.index[0]) if len(again.index) else int(next(iter(again.errors)))
-    if again.errors:
-        raise StoreError(
-            f"store {store.folder}: run {index} ends in an exception now, which it did not; give another folder\n"
-            f"{again.errors[index]}"
-        )
-    stored = read(store, again)
+    index = int(again.index[0])
     row = int(np.flatnonzero(stored.index == index)[0])
     fields = ("ok", "failed_at", "culprit", "results", "applied")
     for field in fields:
@@ -141,6 +148,11 @@ def read_run(store: Store, index: int, like: Run) -> Run:
     return dataclasses.replace(like, **{"memory": None, **about}, **{name: tree(name) for name in ARRAYS})
 
 
+def _plain(text: str) -> str:
+    """The text without the halves of characters that file names may have."""
+    return text.encode(errors="backslashreplace").decode()
+
+
 def _without_error(table: pa.Table) -> pa.Array:
     """Which rows have results."""
     return pa.array([not text for text in table.column("error").to_pylist()], pa.bool_())
@@ -149,7 +161,7 @@ def _without_error(table: pa.Table) -> pa.Array:
 def _same(then: Any, now: Any) -> bool:
     """Equal, or as near as other processors come."""
     then, now = np.asarray(then), np.asarray(now)
-    if then.shape != now.shape or then.dtype.kind not in "fiub":
+    if then.shape != now.shape or then.dtype.kind not in "fiubc":
         return np.array_equal(then, now)
     size = np.abs(then[np.isfinite(then)]).max(initial=0)
     return np.allclose(now, then, rtol=NEAR, atol=NEAR * size, equal_nan=True)

@@ -9,6 +9,7 @@ Every file is written under another name, forced to the disk and renamed, and ca
 name and that of the manifest inside. A file that is not as it was written is never read as if it were.
 """
 
+import contextlib
 import hashlib
 import io
 import json
@@ -25,8 +26,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from plants.errors import StoreError
-from plants.files import write_atomically
+from plants.files import UNFINISHED, write_atomically
 from plants.simulation import versions
+from plants.simulation.columns import array, column, together
 
 FORMAT = 1
 MANIFEST, CHUNKS, RUNS, LOCK = "manifest.json", "chunks", "runs", "lock"
@@ -52,7 +54,7 @@ class Store:
     """
 
     def __init__(self, folder: Path | str) -> None:
-        self.folder = Path(folder)
+        self.folder = Path(folder).absolute()  # work may change the directory
         self.manifest = _manifest(self.folder / MANIFEST)
         self.damaged: list[str] = []  # chunks that were set aside, and why
         self._lock: filelock.BaseFileLock | None = None
@@ -71,7 +73,7 @@ class Store:
             It is another study's, another process writes to it, it holds runs and `resume` is False, or the folder
             cannot be written.
         """
-        folder = Path(folder)
+        folder = Path(folder).absolute()
         lock = filelock.FileLock(folder / LOCK)
         try:
             for part in (CHUNKS, RUNS):
@@ -81,9 +83,11 @@ class Store:
             raise StoreError(
                 f"store {folder}: another process is flying into it; wait for its end or give another folder"
             ) from held
-        except OSError as error:
+        except (OSError, NotImplementedError) as error:  # the latter of file systems without locks
             raise _unwritable(folder, error) from error
         try:
+            for part in (folder, folder / CHUNKS, folder / RUNS):
+                _sweep(part)
             store = cls._begun(folder, what, resume)
         except BaseException:
             lock.release()
@@ -115,7 +119,7 @@ class Store:
         _same(store, {**what, "versions": versions.of_packages()})
         if resume:
             store.damaged = store.set_aside()
-        if len(store.index) and not resume:
+        elif len(store.index):
             raise StoreError(
                 f"store {folder}: holds {len(store.index)} of {store.manifest['runs']} runs of this study; "
                 "resume=True (--resume) flies the others, or give another folder"
@@ -155,8 +159,7 @@ class Store:
         names = None if names is None else list(dict.fromkeys(["index", *names]))
         if not files:
             return pa.table({"index": pa.array([], pa.int64())})
-        table = pa.concat_tables([self._read(path, names) for path in files], promote_options="default")
-        table = table.sort_by("index")
+        table = together([self._read(path, names) for path in files], f"store {self.folder}").sort_by("index")
         index = table.column("index").to_numpy()
         double = index[1:][np.diff(index) == 0]
         if len(double):
@@ -170,14 +173,24 @@ class Store:
         return table
 
     def set_aside(self) -> list[str]:
-        """Rename the chunks that are damaged, so that their runs are flown again; their names, with the reason."""
+        """Rename the chunks that are damaged, so that their runs are flown again; their names, with the reason.
+
+        Raises
+        ------
+        StoreError
+            One cannot be read or renamed, which is no damage.
+        """
         found = []
         for path in sorted(_files(self.folder / CHUNKS)):
+            content = _content(path)
             try:
-                self._read(path, ["index"])
+                self._parsed(path, content, ["index"])
             except StoreError as error:
                 found.append(str(error))
-                path.rename(path.with_name(f"{path.name}.damaged"))
+                try:
+                    path.rename(path.with_name(f"{path.name}.damaged"))
+                except OSError as refused:
+                    raise _unwritable(path, refused) from error
         return found
 
     def write(self, columns: Columns, missing: Columns | None = None) -> None:
@@ -201,7 +214,8 @@ class Store:
     @property
     def kept(self) -> list[int]:
         """Indices of the runs whose trajectories are stored."""
-        return sorted({int(path.name[:9]) for path in _files(self.folder / RUNS)})
+        names = (path.name.split("-")[0] for path in _files(self.folder / RUNS))
+        return sorted({int(name) for name in names if name.isdecimal()})
 
     def trajectory(self, index: int) -> pa.Table:
         """The trajectory of one run, a row for each sample; nothing else is read.
@@ -211,13 +225,16 @@ class Store:
         StoreError
             It was not kept, or its file is damaged.
         """
-        files = [path for path in _files(self.folder / RUNS) if path.name.startswith(f"{index:09d}-")]
+        files = sorted(path for path in _files(self.folder / RUNS) if path.name.startswith(f"{index:09d}-"))
         if not files:
             some = ", ".join(map(str, self.kept[:10])) or "none"
             raise StoreError(
                 f"store {self.folder}: no trajectory of run {index} is kept (of {some} there is one); keep={index}"
             )
-        return self._read(files[0], None)
+        table = self._read(files[0], None)
+        if (table.schema.metadata or {}).get(b"index") != str(index).encode():
+            raise StoreError(f"{files[0]}: is the trajectory of another run, under a new name; remove it")
+        return table
 
     def arrays(self, index: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """The same as arrays (N, ...) by name, and what `write_run` was told about it."""
@@ -227,7 +244,7 @@ class Store:
 
     def _parquet(self, columns: Columns, metadata: Mapping[str, str], missing: Columns) -> bytes:
         """The content of a file of these columns."""
-        fields = {name: _field(name, np.asarray(values), missing.get(name)) for name, values in columns.items()}
+        fields = {name: column(name, np.asarray(values), missing.get(name)) for name, values in columns.items()}
         schema = pa.schema([field for field, _ in fields.values()], {**metadata, "manifest": self.manifest["sha256"]})
         sink = io.BytesIO()
         pq.write_table(pa.table([array for _, array in fields.values()], schema), sink, compression="zstd")
@@ -235,10 +252,9 @@ class Store:
 
     def _read(self, path: Path, names: Sequence[str] | None) -> pa.Table:
         """A file of this store, after its sha256 was checked."""
-        try:
-            content = path.read_bytes()
-        except OSError as error:
-            raise StoreError(f"{path}: {error.strerror}; bring it back, or remove it and resume") from error
+        return self._parsed(path, _content(path), names)
+
+    def _parsed(self, path: Path, content: bytes, names: Sequence[str] | None) -> pa.Table:
         remedy = "bring it back from a copy, or resume: its runs are then flown again"
         if path.name.split(".")[0].rsplit("-", 1)[-1] != _short(content):
             raise StoreError(f"{path}: was damaged or changed after it was written (its sha256 differs); {remedy}")
@@ -277,29 +293,23 @@ def move_aside(folder: Path) -> Path | None:
     return folder.rename(previous)
 
 
-def _field(name: str, values: np.ndarray, missing: np.ndarray | None) -> tuple[pa.Field, pa.Array]:
-    """A column of numbers or texts; arrays of more axes are lists of their entries, with the shape beside."""
-    shape = values.shape[1:]
-    if values.dtype.kind in "UO":
-        column = pa.array(values.tolist(), pa.string(), mask=missing)
-    elif not shape:
-        column = pa.array(np.ascontiguousarray(values), mask=missing)
-    else:
-        flat, size = pa.array(np.ascontiguousarray(values).reshape(-1)), int(np.prod(shape))
-        mask = None if missing is None or not missing.any() else pa.array(missing)
-        column = pa.FixedSizeListArray.from_arrays(flat, type=pa.list_(flat.type, size), mask=mask)
-    return pa.field(name, column.type, metadata={"shape": json.dumps(shape)} if shape else None), column
+def _content(path: Path) -> bytes:
+    """What is in a file, which a pipe or a device is not."""
+    try:
+        if not path.is_file():
+            raise OSError("it is no file")
+        return path.read_bytes()
+    except OSError as error:
+        raise StoreError(
+            f"{path}: cannot be read ({error.strerror or error}); bring it back, or remove it and resume"
+        ) from error
 
 
-def array(column: pa.ChunkedArray, field: pa.Field) -> np.ndarray:
-    """The array that `_field` made a column of."""
-    if pa.types.is_string(field.type):
-        return np.array(column.to_pylist(), str)
-    if not pa.types.is_fixed_size_list(field.type):
-        return column.to_numpy()
-    shape = json.loads((field.metadata or {})[b"shape"])
-    parts = [part.flatten().to_numpy(zero_copy_only=False) for part in column.chunks]
-    return np.concatenate(parts).reshape(-1, *shape) if parts else np.zeros((0, *shape))
+def _sweep(folder: Path) -> None:
+    """Remove what killed writers left behind."""
+    for path in folder.glob(f".*{UNFINISHED}"):
+        with contextlib.suppress(OSError):
+            path.unlink()
 
 
 def _files(folder: Path) -> Iterable[Path]:
@@ -361,8 +371,9 @@ def _write(path: Path, content: bytes) -> None:
         raise _unwritable(path, error) from error
 
 
-def _unwritable(path: Path, error: OSError) -> StoreError:
+def _unwritable(path: Path, error: OSError | NotImplementedError) -> StoreError:
+    why = getattr(error, "strerror", None) or error
     return StoreError(
-        f"{path}: cannot be written ({error.strerror or error}); what was stored before is safe: make room or give "
-        "another folder, then resume"
+        f"{path}: cannot be written ({why}); what was stored before is safe: make room or give another folder, then "
+        "resume"
     )
