@@ -12,10 +12,10 @@ PATIENCE = 240.0  # s; on a busy machine
 
 
 @contextmanager
-def started(*command, **options):
+def started(*command, surroundings=None, **options):
     """`python COMMAND`, which can import the tests; killed at the end if it still runs."""
     paths = [str(TESTS), str(TESTS.parent), os.environ.get("PYTHONPATH", "")]
-    surroundings = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
+    surroundings = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))} | (surroundings or {})
     process = subprocess.Popen([sys.executable, *map(str, command)], env=surroundings, **options)
     try:
         yield process

@@ -73,8 +73,8 @@ def register(block: Any) -> None:
     ScenarioError
         If a block is a mutable dataclass.
     """
-    if isinstance(block, tuple | list):
-        for item in block:
+    if isinstance(block, tuple | list | dict):
+        for item in block.values() if isinstance(block, dict) else block:
             register(item)
     if not dataclasses.is_dataclass(block) or isinstance(block, type):
         return

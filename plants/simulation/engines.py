@@ -9,6 +9,7 @@ import contextlib
 import functools
 import os
 import platform
+import queue
 import threading
 import time
 from collections.abc import Callable, Generator, Sequence
@@ -163,6 +164,13 @@ def _on_cluster(work: Work[T], chunks: Sequence[Chunk], address: str) -> Outcome
             # a task, which can be done again; scattered data is lost with its worker
             shared = client.submit(_itself, payload)
             waiting, pending, tries, seen = iter(chunks), {}, {}, time.monotonic()
+            ended: queue.SimpleQueue[Any] = queue.SimpleQueue()  # futures
+
+            def give(chunk: Chunk) -> None:
+                future = client.submit(_called_there, shared, here, chunk, pure=False)
+                pending[future] = chunk
+                future.add_done_callback(ended.put)
+
             while True:
                 hands = len(client.scheduler_info(n_workers=-1)["workers"])
                 seen = time.monotonic() if hands else seen
@@ -172,25 +180,23 @@ def _on_cluster(work: Work[T], chunks: Sequence[Chunk], address: str) -> Outcome
                         f"{address}`, then resume; what was flown by then is in the store"
                     )
                 for chunk in islice(waiting, max(0, AHEAD * max(1, hands) - len(pending))):
-                    pending[client.submit(_called_there, shared, here, chunk, pure=False)] = chunk
+                    give(chunk)
                 if not pending:
                     return
                 try:
-                    distributed.wait(list(pending), timeout=2.0, return_when="FIRST_COMPLETED")
-                except TimeoutError:
+                    future = ended.get(timeout=2.0)
+                except queue.Empty:
                     continue  # there may be more workers now
-                done = [future for future in pending if future.done()]
-                for future in done:
-                    chunk = pending.pop(future)
-                    try:
-                        outcome = future.result()
-                    except distributed.KilledWorker as killed:
-                        tries[chunk[0]] = tries.get(chunk[0], 0) + 1
-                        if tries[chunk[0]] < 2:
-                            pending[client.submit(_called_there, shared, here, chunk, pure=False)] = chunk
-                            continue
-                        outcome = Lost(f"the workers that worked on it ended: {_reason(killed)}")
-                    yield chunk, outcome
+                chunk = pending.pop(future)
+                try:
+                    outcome = future.result()
+                except distributed.KilledWorker as killed:
+                    tries[chunk[0]] = tries.get(chunk[0], 0) + 1
+                    if tries[chunk[0]] < 2:
+                        give(chunk)
+                        continue
+                    outcome = Lost(f"the workers that worked on it ended: {_reason(killed)}")
+                yield chunk, outcome
         except ImportError as error:
             raise _foreign(address) from error
         except (distributed.CancelledError, OSError) as error:

@@ -10,7 +10,7 @@ import hashlib
 import inspect
 import textwrap
 from collections.abc import Callable, Iterable, Mapping
-from types import BuiltinFunctionType, CodeType, FunctionType, MethodType
+from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
 
 import jax
@@ -63,6 +63,8 @@ def _parts(thing: Any, above: tuple[int, ...]) -> Iterable[bytes]:
         yield from _parts((thing.__defaults__, thing.__kwdefaults__, enclosed), inside)
     elif isinstance(thing, type | BuiltinFunctionType):
         yield f"name {thing.__module__}.{thing.__qualname__}".encode()
+        if not isinstance(getattr(thing, "__self__", None), ModuleType | None):  # such as [1.0].count
+            yield from _parts(thing.__self__, inside)
     else:
         yield f"{type(thing).__module__}.{type(thing).__qualname__}".encode()
         for name, value in _members(thing):
@@ -99,4 +101,6 @@ def _members(thing: Any) -> Iterable[tuple[Any, Any]]:
         return [("member", each) for each in sorted(map(digest, thing))]
     if isinstance(thing, np.ndarray | tuple | list | range):
         return list(enumerate(thing))
-    return sorted(getattr(thing, "__dict__", {}).items())
+    slots = {name for kind in type(thing).__mro__ for name in np.atleast_1d(getattr(kind, "__slots__", ()))}
+    found = {name: getattr(thing, name) for name in sorted(slots) if hasattr(thing, name)}
+    return sorted({**found, **getattr(thing, "__dict__", {})}.items())
