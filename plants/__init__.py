@@ -5,8 +5,8 @@
     dynamics       `RigidBody`, `EulerBody`, `Station` (relative motion)
     hardware       `ReactionWheels`, `Thrusters`, `SunSensor`, `Magnetometer`, `Gyro`, ...
     estimation     `ekf`, `svd_navigator`, `kalman`, `station_ekf`
-    simulation     `Loop` and `Scenario` go into `simulate`, `simulate_many`, `campaign`, `linearize`; a `Run` comes
-                   out; `Store` reads what a campaign has stored, `sweep` goes through designs
+    simulation     `Loop` and `Scenario` go into `simulate`, `simulate_many`, `campaign`, `worst_flights`, `linearize`; a
+                   `Run` comes out; `Store` reads what a campaign has stored, `sweep` goes through designs
     outcome        `indices`, `settling_time`, `run_plot`, `campaign_plot`; `report` and `study` make pages
     missions       `cubesat3u`, `amazonia1`, `airbearing`, `geo`: the numbers of the studies
 
@@ -108,6 +108,8 @@ if TYPE_CHECKING:
     from plants.simulation.store import Store as Store
     from plants.simulation.sweep import Sweep as Sweep
     from plants.simulation.sweep import sweep as sweep
+    from plants.simulation.worstflights import WorstFlights as WorstFlights
+    from plants.simulation.worstflights import worst_flights as worst_flights
     from plants.surroundings.disturbances import ConstantTorque as ConstantTorque
     from plants.surroundings.disturbances import Disturbance as Disturbance
     from plants.surroundings.disturbances import Drag as Drag
@@ -188,6 +190,7 @@ _HOME = {  # of a name; modules are their own home
     "TorqueEnv": "dynamics.eulerbody",
     "Unfiltered": "estimation.tracking",
     "Verdict": "outcome.study",
+    "WorstFlights": "simulation.worstflights",
     "airbearing": "missions.airbearing",
     "amazonia1": "missions.amazonia1",
     "attitude": "geometry.attitude",
@@ -225,6 +228,7 @@ _HOME = {  # of a name; modules are their own home
     "study": "outcome.study",
     "svd_navigator": "estimation.navigation",
     "sweep": "simulation.sweep",
+    "worst_flights": "simulation.worstflights",
 }
 
 __all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
