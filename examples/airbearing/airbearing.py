@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from airbearing_worst import question
 
 from plants import Campaign, Loop, Run, Scenario, Statement, Table, Verdict, airbearing, blocks, figures, report, study
 from plants.missions.airbearing import (
@@ -28,6 +29,7 @@ from plants.missions.airbearing import (
     Q,
     R,
 )
+from plants.outcome import worst
 from synth import EulerModel, SdreSampled, lqr, lqrd, state_feedback
 from synth.regulators.regulator import sampled_cost
 from synth.regulators.sdre import sampled_gain
@@ -38,6 +40,7 @@ FILTER, FILTER_ANGLES = "SDRE, Kalman filter", "SDRE, Kalman filter of angles al
 DURATION = 200.0  # s
 SIMILAR = 1.1  # largest ratio of settling times that counts as "the same" or "similar"
 LARGE = [np.array([roll * DEG, TARGET[1], TARGET[2]]) for roll in LARGE_ROLLS if roll * DEG != TARGET[0]]
+DRAWS = 100  # of the Monte Carlo beside the worst flight
 NOISY = len(TORQUE_LIMITS) + len(LARGE)  # index of the first run with noise
 AXES = ("roll, deg", "pitch, deg", "yaw, deg")
 
@@ -350,20 +353,27 @@ def pictures(found: Study) -> list[report.Section]:
 
 def main(arguments: list[str] | None = None) -> int:
     """The command line."""
-    fast = "120 s flights and 2 runs with noise"
+    fast = "120 s flights, 2 runs with noise, no search for the worst"
     options = study.parse(
         study.parser(__doc__, out="out/airbearing", fast=fast, runs=16, what="runs with noise"), arguments
     )
     runs, duration = (min(options.runs, 2), 120.0) if options.fast else (options.runs, DURATION)
     found = Study()
-    study.carry_out(found, lambda: fly(found, duration, runs, options.seed), options)
+
+    def flights() -> None:
+        fly(found, duration, runs, options.seed)
+        if not options.fast:
+            controller = state_feedback(configurations(duration)[LQR].gain, PERIOD)
+            worst.ask(question(controller, DRAWS, options.seed), found.worst, seed=options.seed)
+
+    study.carry_out(found, flights, options)
     return study.conclude(
         found,
         options.out,
         title="Air-bearing simulator: SDRE with a Kalman filter",
         subtitle="LQR and SDRE on large slews of a three-axis satellite simulator; after the SDRE and Kalman filter "
         "study of INPE's Space Mechanics and Control Division",
-        tables=[slews(found), larger(found), steady(found), held(found)],
+        tables=[slews(found), larger(found), steady(found), held(found), *worst.tables(found.worst)],
         statements=statements(found),
         sections=pictures(found),
         findings=FINDINGS,

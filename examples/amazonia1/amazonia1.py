@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
+from amazonia1_worst import PERIOD as WORST_PERIOD
+from amazonia1_worst import question
 
 from plants import (
     Campaign,
@@ -20,11 +22,13 @@ from plants import (
     Verdict,
     amazonia1,
     clopper_pearson,
+    draw,
     figures,
     report,
     study,
 )
 from plants.missions.amazonia1 import DEG, PERIOD, Outcome, Start
+from plants.outcome import worst
 from synth import (
     MrpModel,
     QuaternionModel,
@@ -256,18 +260,25 @@ def cards(found: Study, built: dict[str, Any]) -> list[report.Card]:
 
 def main(arguments: list[str] | None = None) -> int:
     """The command line."""
-    fast = "600 s flights and 4 runs"
+    fast = "600 s flights, 4 runs, no search for the worst"
     options = study.parse(study.parser(__doc__, out="out/amazonia1", fast=fast, runs=100), arguments)
     runs, duration = (min(options.runs, 4), 600.0) if options.fast else (options.runs, amazonia1.DURATION)
     found, built = Study(duration), controllers()
-    study.carry_out(found, lambda: fly(found, built, runs, options.seed), options)
+
+    def flights() -> None:
+        fly(found, built, runs, options.seed)
+        if not options.fast:
+            asked = question(controllers(WORST_PERIOD)[LQR], draw(amazonia1.disperse, runs, options.seed))
+            worst.ask(asked, found.worst, seed=options.seed)
+
+    study.carry_out(found, flights, options)
     return study.conclude(
         found,
         options.out,
         title="Amazonia-1: SDRE under parametric uncertainty",
         subtitle="SDRE, SDRE + H-infinity, LQR, PD and PID in one nonlinear simulator; after Romero and Souza, "
         "CILAMCE 2022",
-        tables=[table(found)],
+        tables=[table(found), *worst.tables(found.worst)],
         statements=statements(found),
         cards=cards(found, built),
         sections=[drawings(found)],

@@ -31,6 +31,8 @@ def histories(series: Series, rows: Sequence[str], *, until: float | None = None
         for ax, label in zip(axes, rows, strict=True):
             ax.set_ylabel(label)
             ax.set_yscale(scale)
+            if scale == "log":
+                ax.yaxis.set_major_formatter("{x:g}")  # powers as markup would be shown as they are written
         axes[-1].set_xlabel("time, s")
         fig.align_ylabels(axes)
         fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=min(4, len(series)))

@@ -57,6 +57,7 @@ class Table(NamedTuple):
     rows: Sequence[Sequence[Any]]
     marks: Sequence[Sequence[str]] = ()  # "pass", "fail" or "" for each cell, see `report.table`
     note: str = ""  # a sentence below
+    drawn: Sequence[tuple[Figure, str]] = ()  # figures with their captions, on the page only
 
     def text(self) -> str:
         """For the terminal."""
@@ -65,8 +66,10 @@ class Table(NamedTuple):
 
     def section(self) -> report.Section:
         """For the page."""
-        note = report.paragraph(self.note) if self.note else ""
-        return report.Section(self.title, report.table(self.headers, self.rows, marks=self.marks) + note)
+        body = report.table(self.headers, self.rows, marks=self.marks)
+        if self.note:
+            body += report.paragraph(self.note)
+        return report.Section(self.title, body + drawings(self.title, self.drawn).body)
 
 
 class Saved(Protocol):
@@ -89,6 +92,7 @@ class Study:
     complete: bool = False  # False while it flies, and for good if it was interrupted
     seconds: float = 0.0  # s, wall time of the flights
     flying: Mapping[str, Any] = field(default_factory=dict)  # how its campaigns fly: further options of `campaigns`
+    worst: list[Any] = field(default_factory=list)  # each a `worst.Answer`
 
 
 def parser(

@@ -117,7 +117,7 @@ def test_claims(flown):
 
 def test_report(flown):
     page = (flown[2] / "report.html").read_text()
-    assert page.count("<figure>") == 10
+    assert page.count("<figure>") == 11
     for number in range(2, 7):
         assert f"Figure {number}" in page
     assert "complete" in page
@@ -126,4 +126,4 @@ def test_report(flown):
 
 @needs_chromium
 def test_report_in_a_browser(flown):
-    check(flown.out / "report.html", figures=10)
+    check(flown.out / "report.html", figures=11)

@@ -76,7 +76,7 @@ def test_dispersions_were_applied(flown):
 
 def test_report_of_the_monte_carlo(flown):
     page = (flown[2] / "report.html").read_text()
-    assert page.count("<figure>") == 2
+    assert page.count("<figure>") == 3
     assert "figure 3a" in page
     assert "figure 3b" in page
     assert not re.search(r'(src|href)="(https?:)?//', page)
@@ -85,7 +85,7 @@ def test_report_of_the_monte_carlo(flown):
 
 @needs_chromium
 def test_reports_in_a_browser(flown, attracted):
-    check(flown[2] / "report.html", figures=2)
+    check(flown[2] / "report.html", figures=3)
     check(attracted[2] / "report.html", figures=5)
 
 

@@ -86,7 +86,7 @@ def test_files_and_report(flown):
     }  # fmt: skip
     assert json.loads((out / "mpc_position.json").read_text())["form"] == "position"
     page = (out / "report.html").read_text()
-    assert page.count("<figure>") == 11
+    assert page.count("<figure>") == 12
     for number in range(7, 17):
         assert re.search(rf"figure {number}\b", page)
     assert not re.search(r'(src|href)="(https?:)?//', page)
@@ -100,7 +100,7 @@ def test_files_and_report(flown):
 
 @needs_chromium
 def test_report_in_a_browser(flown):
-    check(flown[2] / "report.html", figures=11)
+    check(flown[2] / "report.html", figures=12)
 
 
 def test_interruption_keeps_what_was_flown(tmp_path, monkeypatch, capsys):
