@@ -1,17 +1,18 @@
 """The worst flight in a box: known worsts, replay, never below what was flown, any case and controller, bad input."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from flown import Opaque, Pendulum, Swing, pd
+from flown import Linear, Opaque, Pendulum, Swing, cubesat, pd
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from plants.errors import ScenarioError
+from plants.missions import cubesat3u
 from plants.simulation import worstflights
 from plants.simulation.sensitivity import Box, Response
 from plants.simulation.simulate import Loop, Scenario, simulate
@@ -135,6 +136,59 @@ def test_slopes_of_forward_mode_are_those_of_differences():
         shift = step * np.eye(2)[j]
         differences[:, j] = (response.values(points + shift) - response.values(points - shift)) / (2 * step)
     np.testing.assert_allclose(response.slopes(points, values), differences, rtol=1e-4, atol=1e-6)
+
+
+def everything(run):
+    """All that an objective may look at."""
+    late = run.time >= run.duration / 3
+    rows = [run.outputs, run.estimates, run.references, run.commands, run.inputs, run.extra[:, None], run.time[:, None]]
+    return sum(jnp.sin(k + a[late]).sum() for k, a in enumerate(rows)) + run.states.angle.max() + run.memory.sum()
+
+
+def angle(x, env, sensors, navigator):
+    return 3 * x.angle
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"samples": 1},
+        {"keep_every": 5},
+        {"reference": np.array([0.1, 0.0])},
+        {"reference": np.linspace([0.0, 0.0], [0.3, 0.1], 30), "samples": 3},
+        {"reference": np.linspace([0.0, 0.0], [0.3, 0.1], 30), "keep_every": 3},
+    ],
+)
+def test_the_search_sees_the_flight_that_is_flown_alone(changes):
+    def case(d, shared):
+        loop, scenario = swinging(d, Linear(np.array([[0.5]]), np.ones((1, 2)), np.ones((1, 1)), np.ones((1, 2)), 0.05))
+        return replace(loop, delay=1), replace(scenario, **changes)
+
+    response = Response.of(
+        case, None, Box.between(SWINGS), everything, record=angle, compiled=None, forward=True, memory=1 << 28
+    )
+    points = np.array([[0.2, 0.7], [0.9, 0.1]])
+    np.testing.assert_allclose(response.values(points), [response.fly(z)[1] for z in points], rtol=1e-11)
+
+
+@pytest.mark.slow
+def test_noise_sensors_and_filter_stay_the_same_in_all_flights(surroundings):
+    def case(d, shared):
+        loop, scenario = cubesat(surroundings, seed=4, run=7)
+        initial = cubesat3u.initial_state(surroundings, d, cubesat3u.RATES)
+        return replace(loop, plant=cubesat3u.body(cubesat3u.INERTIA * (1 + d[0]))), replace(scenario, initial=initial)
+
+    found = worst_flights(case, (np.full(3, -0.2), np.full(3, 0.2)), pointing, **QUICK)
+    again = simulate(*case(found.worst, None))
+    np.testing.assert_array_equal(found.run.estimates, again.estimates)
+    assert found.slopes == "forward mode"
+    assert found.value > pointing(simulate(*case(np.zeros(3), None)))
+    assert np.abs(again.estimates - again.outputs).max() > 0
+
+
+def pointing(run):
+    return jnp.abs(run.outputs[:, :3]).sum()
 
 
 @settings(max_examples=15, deadline=None)
