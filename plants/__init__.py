@@ -5,8 +5,8 @@
     dynamics       `RigidBody`, `EulerBody`, `Station` (relative motion)
     hardware       `ReactionWheels`, `Thrusters`, `SunSensor`, `Magnetometer`, `Gyro`, ...
     estimation     `ekf`, `svd_navigator`, `kalman`, `station_ekf`
-    simulation     `Loop` and `Scenario` go into `simulate`, `simulate_many`, `campaign`, `worst_flights`, `linearize`; a
-                   `Run` comes out; `Store` reads what a campaign has stored, `sweep` goes through designs
+    simulation     `Loop` and `Scenario` go into `simulate`, `simulate_many`, `campaign`, `worst_flights`, `linearize`;
+                   a `Run` comes out; `Store` reads what a campaign has stored, `sweep` goes through designs
     outcome        `indices`, `settling_time`, `run_plot`, `campaign_plot`; `report` and `study` make pages
     missions       `cubesat3u`, `amazonia1`, `airbearing`, `geo`: the numbers of the studies
 

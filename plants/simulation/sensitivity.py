@@ -12,7 +12,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import jax
@@ -21,7 +20,9 @@ import numpy as np
 
 from plants.errors import ScenarioError
 from plants.simulation import blocks, programs, simulate
-from plants.simulation.campaign import Case, count
+from plants.simulation.campaign import count
+from plants.simulation.flight import fly
+from plants.simulation.flights import Case
 from plants.simulation.loop import Loop, Run, Scenario, check, check_numbers
 
 Objective = Callable[[Run], Any]
@@ -151,7 +152,7 @@ class Response:
             varied=frozenset(varied),
             dt=dt,
             obstacle=obstacle,
-            forward=not obstacle if forward is None else forward,
+            forward=forward is not False and not obstacle,
             lanes=lanes,
             climbs=int(np.clip(memory // ((n + 1) * rows), 1, min(CLIMBS, lanes))),
         )
@@ -236,7 +237,12 @@ class Response:
                     push[lane, j] = np.where(np.isnan(slope), 0.0, slope)  # of no limit, infinity minus infinity
         programs.make_room(_slopes)
         with jax.enable_x64(True):
-            found = _slopes(stack.leaves, pushes, stack.form, moving, self.record, self.objective, self.dt)
+            try:
+                found = _slopes(stack.leaves, pushes, stack.form, moving, self.record, self.objective, self.dt)
+            except (NotImplementedError, TypeError, ValueError) as error:
+                raise ScenarioError(
+                    f"forward = {self.forward}: JAX cannot differentiate the flight ({error}); give forward = False"
+                ) from error
         return np.asarray(found)[:m]
 
     def _stack(self, cases: Sequence[tuple[Loop, Scenario]]) -> blocks.Stack:
@@ -290,7 +296,7 @@ def _inward(z: np.ndarray, j: int, step: float) -> tuple[np.ndarray, float]:
 def _score(pair: tuple[Loop, Scenario], record: Any, objective: Objective, dt: float | None) -> Any:
     """The objective of a flight, traceable; infinite if it fails."""
     loop, scn = pair
-    w, memory, rows = simulate.fly(loop, scn, record)
+    w, memory, rows = fly(loop, scn, record)
     row = jax.tree.map(lambda a: a.reshape(a.shape[0] * a.shape[1], *a.shape[2:]), rows)
     period = scn.dt if dt is None else dt
     time = np.arange(scn.periods // scn.keep_every * scn.rows) * (scn.keep_every * period / scn.rows)
@@ -316,14 +322,12 @@ def _score(pair: tuple[Loop, Scenario], record: Any, objective: Objective, dt: f
     return jnp.where(w.culprit == 0, objective(run), jnp.inf)
 
 
-@partial(jax.jit, static_argnames=("form", "record", "objective", "dt"))
-def _values(leaves: Any, form: blocks.Form, record: Any, objective: Objective, dt: float | None) -> Any:
+def _values_each(leaves: Any, form: blocks.Form, record: Any, objective: Objective, dt: float | None) -> Any:
     """`_score` of every lane."""
     return form.each(lambda pair: _score(pair, record, objective, dt), leaves)
 
 
-@partial(jax.jit, static_argnames=("form", "moving", "record", "objective", "dt"))
-def _slopes(
+def _slopes_each(
     leaves: Any, pushes: Any, form: blocks.Form, moving: tuple[int, ...], record: Any, objective: Objective,
     dt: float | None,
 ) -> Any:  # fmt: skip
@@ -341,3 +345,7 @@ def _slopes(
         return jax.vmap(lambda push: jax.jvp(along, here, push)[1])(tuple(pushes))
 
     return form.each(one, leaves, pushes)
+
+
+_values = programs.Program(_values_each, "form", "record", "objective", "dt")
+_slopes = programs.Program(_slopes_each, "form", "moving", "record", "objective", "dt")

@@ -191,6 +191,34 @@ def pointing(run):
     return jnp.abs(run.outputs[:, :3]).sum()
 
 
+@jax.custom_vjp
+def backward_only(e):
+    return jnp.tanh(e)
+
+
+backward_only.defvjp(lambda e: (jnp.tanh(e), e), lambda e, g: (g * (1 - jnp.tanh(e) ** 2),))
+
+
+@dataclass(frozen=True)
+class Backward:
+    """A controller that JAX compiles and cannot differentiate forward."""
+
+    dt: float = 0.05
+
+    def init(self):
+        return ()
+
+    def step(self, s, y, r):
+        return s, backward_only(r - y)[:1]
+
+
+def test_what_jax_cannot_differentiate_is_told_with_the_remedy():
+    with pytest.raises(ScenarioError, match=r"JAX cannot differentiate the flight .*; give forward = False"):
+        worst_flights(swinging, SWINGS, turned, Backward(), **QUICK)
+    found = worst_flights(swinging, SWINGS, turned, Backward(), forward=False, **QUICK)
+    assert found.slopes == "differences of flights"
+
+
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), flights=st.integers(1, 40), rounds=st.integers(0, 3))
 def test_nothing_worse_was_flown_than_what_is_found(seed, flights, rounds):
