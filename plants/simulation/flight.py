@@ -15,8 +15,7 @@ import numpy as np
 
 from plants.simulation.loop import Loop, Plant, Scenario, reference_at
 
-CULPRITS = ("", "controller", "plant", "navigator")
-
+CULPRITS = ("", "controller", "plant", "navigator", "sensors")
 
 Record = Callable[[Any, Any, Any, Any], Any]
 
@@ -27,6 +26,7 @@ class Flight(NamedTuple):
     x: Any  # plant state
     u: Any  # plant input that acted last
     sensors: Any
+    measured: Any  # () whether all measurements of this period were made of numbers
     navigator: Any
     estimate: Any  # (ny,)
     actuator: Any
@@ -78,7 +78,8 @@ def observe(loop: Loop, w: Flight, env: Any, noise: Any, h: Any) -> Flight:
         return w._replace(estimate=loop.plant.output(w.x, env))
     sensors, y = jax.lax.optimization_barrier(loop.sensors.measure(w.sensors, w.x, env, noise, h))
     navigator, estimate = loop.navigator.update(w.navigator, y, w.u, env, h)
-    return w._replace(sensors=sensors, navigator=navigator, estimate=estimate)
+    measured = w.measured & jnp.all(jnp.array([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(y)]))
+    return w._replace(sensors=sensors, measured=measured, navigator=navigator, estimate=estimate)
 
 
 def rk4(plant: Plant, x: Any, u: Any, envs: Sequence[Any], h: Any) -> Any:
@@ -149,6 +150,7 @@ def launch(loop: Loop, scn: Scenario, nu: tuple[int, ...]) -> Flight:
         x=scn.initial,
         u=u,
         sensors=None if loop.sensors is None else loop.sensors.init(),
+        measured=jnp.ones((), bool),
         navigator=None if loop.navigator is None else loop.navigator.init(),
         estimate=reference_at(loop, scn, 0),
         actuator=actuator,
@@ -188,13 +190,20 @@ def _noise(loop: Loop, scn: Scenario, indices: Any) -> Any:
 
 def _judge(scn: Scenario, w: Flight, new: Flight, command: Any, k: Any) -> Flight:
     """The new `Flight` if all of it is sound; else the old one, standing still, with the culprit and the period."""
-    blame = jnp.where(_sound(scn, (new.estimate, new.navigator)), 0, CULPRITS.index("navigator"))
+    blame = _lost(scn, new)
     blame = jnp.where(_sound(scn, new.x), blame, CULPRITS.index("plant"))
     blame = jnp.where(jnp.isfinite(command).all(), blame, CULPRITS.index("controller"))
     stands = w.culprit != 0
     blame = jnp.where(stands, w.culprit, blame)
     kept = _either(blame == 0, new, w)
-    return kept._replace(culprit=blame, failed=jnp.where(stands | (blame == 0), w.failed, jnp.maximum(k, 0)))
+    failed = jnp.where(stands | (blame == 0), w.failed, jnp.maximum(k, 0))
+    return kept._replace(measured=jnp.ones((), bool), culprit=blame, failed=failed)
+
+
+def _lost(scn: Scenario, w: Flight) -> Any:
+    """Index of the culprit where nothing is known of the plant: the sensors, if they measured no numbers; else 0."""
+    blame = jnp.where(w.measured, CULPRITS.index("navigator"), CULPRITS.index("sensors"))
+    return jnp.where(_sound(scn, (w.estimate, w.navigator)), 0, blame)
 
 
 def _either(condition: Any, a: Any, b: Any) -> Any:

@@ -5,6 +5,7 @@ elsewhere fits without knowing this package, because protocols are structural.
 """
 
 import dataclasses
+import os
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -13,8 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from plants.errors import ScenarioError
+from plants.errors import PlantError, ScenarioError
 from plants.simulation import blocks
+
+try:
+    MEMORY = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")  # bytes
+except (AttributeError, ValueError, OSError):  # not told here
+    MEMORY = 2**40
 
 
 class Plant(Protocol):
@@ -165,7 +171,7 @@ class Run:
     extra: Any  # what `record` returned, (N, ...) arrays
     ok: bool
     failed_at: float | None  # s, start of the control period in which it failed
-    culprit: str  # "controller", "plant" or "navigator"; "" if ok
+    culprit: str  # "controller", "plant", "sensors" or "navigator"; "" if ok
     compiled: bool  # whether the controller was compiled with the loop or stepped from Python
     memory: Any = None  # the controller's state at the end: its counters, for example
 
@@ -174,13 +180,14 @@ def check(loop: Loop, scenario: Scenario) -> None:
     """Raise `ScenarioError` naming the first unusable number of a case, and register its blocks with JAX."""
     for name in ("periods", "samples", "steps", "keep_every"):
         count = getattr(scenario, name)
-        if not isinstance(count, int) or count < 1:
+        if not isinstance(count, int) or isinstance(count, bool) or count < 1:
             raise ScenarioError(f"{name} = {count!r}: give a whole number of at least 1")
     if scenario.periods % scenario.keep_every:
         raise ScenarioError(f"keep_every = {scenario.keep_every} does not divide periods = {scenario.periods}")
     for name in ("dt", "bound"):
         value = getattr(scenario, name)
-        if not (np.ndim(value) == 0 and np.isfinite(value) and value > 0):
+        real = np.ndim(value) == 0 and np.asarray(value).dtype.kind in "fiu"
+        if not (real and np.isfinite(value) and value > 0):
             raise ScenarioError(f"{name} = {value!r}: give a positive finite number")
     if not isinstance(loop.delay, int) or loop.delay < 0:
         raise ScenarioError(f"delay = {loop.delay!r}: give a whole number of control periods, at least 0")
@@ -192,6 +199,7 @@ def check(loop: Loop, scenario: Scenario) -> None:
     if loop.navigator is not None and loop.sensors is None:
         raise ScenarioError("sensors = None: a navigator needs sensors; give both or neither")
     check_numbers(loop, scenario)
+    _check_size(scenario)
     with jax.enable_x64(True):
         _check_shapes(loop, scenario)
 
@@ -204,6 +212,17 @@ def check_numbers(loop: Loop, scenario: Scenario) -> None:
     blocks.check_numbers(known, "loop")
     blocks.check_numbers(scenario, "scenario")
     blocks.check_numbers(scenario.initial, "scenario.initial", finite=True)
+
+
+def _check_size(scn: Scenario) -> None:
+    """Raise `ScenarioError` if the rows of one run, or what one period takes, are more than this machine can hold."""
+    state = sum(np.size(leaf) for leaf in jax.tree.leaves(scn.initial))
+    rows = scn.periods // scn.keep_every * scn.rows * state
+    if 8 * max(rows, scn.samples * (2 * scn.steps + 1)) > MEMORY:
+        raise ScenarioError(
+            f"periods = {scn.periods}, samples = {scn.samples}, steps = {scn.steps}, keep_every = {scn.keep_every} "
+            f"take more than the {MEMORY / 2**30:.3g} GiB of this machine: fly less, or raise keep_every"
+        )
 
 
 def env_at(scn: Scenario, t: Any) -> Any:
@@ -226,7 +245,15 @@ def reference_at(loop: Loop, scn: Scenario, k: Any = None) -> Any:
 
 def _check_shapes(loop: Loop, scn: Scenario) -> None:
     """Raise `ScenarioError` if reference or output do not fit."""
-    shape = output_shape(loop, scn).shape
+    try:
+        shape = output_shape(loop, scn).shape
+    except PlantError:
+        raise
+    except Exception as error:
+        raise ScenarioError(
+            f"scenario.initial or scenario.environment does not fit the plant: {type(loop.plant).__name__}.output "
+            f"raised {type(error).__name__}: {error}"
+        ) from error
     if len(shape) != 1:
         raise ScenarioError(f"plant.output has shape {shape}: return a vector")
     if scn.reference is not None and np.shape(scn.reference) not in (shape, (scn.periods, *shape)):

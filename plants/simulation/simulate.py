@@ -23,7 +23,7 @@ import numpy as np
 from tqdm import tqdm
 
 from plants.errors import ScenarioError
-from plants.simulation import blocks, programs
+from plants.simulation import blocks, commands, programs
 from plants.simulation.flight import CULPRITS as CULPRITS
 from plants.simulation.flight import Flight, Row, advance, fly_each, launch
 from plants.simulation.flight import Record as Record
@@ -109,6 +109,7 @@ def simulate_many(
             compiled = can_compile(loop, scenario)
         if compiled:
             blocks.register(loop.controller)
+            commands.shape(loop, scenario, compiled=True)
         flown = [pair if compiled else (dataclasses.replace(pair[0], controller=None), pair[1]) for pair in cases]
         batch = blocks.stack(flown, varying)
         if compiled:
@@ -128,7 +129,7 @@ def can_compile(loop: Loop, scenario: Scenario) -> bool:
     try:
         blocks.register(loop.controller)
         with jax.enable_x64(True):
-            jax.eval_shape(lambda c, y: c.step(c.init(), y, y), loop.controller, output_shape(loop, scenario))
+            commands.traced(loop.controller, output_shape(loop, scenario))
     except Exception:
         return False
     return True
@@ -138,7 +139,7 @@ def row_bytes(loop: Loop, scenario: Scenario, record: Record | None = None) -> i
     """Memory that the rows of one run take, bytes."""
     check(loop, scenario)
     with jax.enable_x64(True):
-        nu = _command_shape(loop, scenario, can_compile(loop, scenario))
+        nu = commands.shape(loop, scenario, can_compile(loop, scenario))
 
         def one(loop: Loop, scn: Scenario) -> Any:
             return advance(loop, scn, record, launch(loop, scn, nu), jnp.zeros(nu), 0)[1]
@@ -183,14 +184,14 @@ def _step_through(
 ) -> Any:
     """The Python loop: the controllers in turn, then one compiled period for all lanes."""
     loop, scenario = cases[0]
-    nu = _command_shape(loop, scenario, compiled=False)
+    nu = commands.shape(loop, scenario, compiled=False)
     leaves = jax.device_put(batch.leaves)
     w = _launch(leaves, batch.form, nu)
     controllers = [loop.controller for loop, _ in cases]
     references = [np.asarray(reference_at(loop, scn)) for loop, scn in cases]
-    memory = [controller.init() for controller in controllers]
-    commands, rows = np.zeros((len(cases), *nu)), []
-    w, _ = _advance(leaves, batch.form, record, w, commands, np.int64(-1), on_compile=on_compile)
+    memory = [commands.begin(controller) for controller in controllers]
+    issued, rows = np.zeros((len(cases), *nu)), []
+    w, _ = _advance(leaves, batch.form, record, w, issued, np.int64(-1), on_compile=on_compile)
     advance_all = _advance.jitted
     for k in tqdm(range(scenario.periods), "periods", delay=2.0, disable=not progress, leave=False):
         estimates, sound = np.asarray(w.estimate), np.asarray(w.culprit) == 0
@@ -199,23 +200,13 @@ def _step_through(
         for i, controller in enumerate(controllers):
             if sound[i]:
                 r = references[i] if references[i].ndim == 1 else references[i][k]
-                memory[i], commands[i] = controller.step(memory[i], estimates[i], r)
-        w, row = advance_all(leaves, batch.form, record, w, commands, np.int64(k))
+                memory[i], issued[i] = commands.step(controller, memory[i], estimates[i], r, nu, k * scenario.dt)
+        w, row = advance_all(leaves, batch.form, record, w, issued, np.int64(k))
         if k % scenario.keep_every == 0:
             rows.append(jax.tree.map(lambda a: np.asarray(a[:, : scenario.rows]), row))
     if not rows:  # all failed before the first command
-        rows = [jax.tree.map(np.asarray, _advance(leaves, batch.form, record, w, commands, np.int64(0))[1])]
+        rows = [jax.tree.map(np.asarray, _advance(leaves, batch.form, record, w, issued, np.int64(0))[1])]
     return w, memory, jax.tree.map(lambda *parts: np.stack(parts, axis=1), *rows)
-
-
-def _command_shape(loop: Loop, scn: Scenario, compiled: bool) -> tuple[int, ...]:
-    """Shape of a command: traced if the controller can be, else asked for once."""
-    controller = loop.controller
-    if compiled:
-        r = reference_at(loop, scn, 0)
-        return jax.eval_shape(lambda c: c.step(c.init(), r, r)[1], controller).shape
-    r = np.asarray(reference_at(loop, scn, 0))
-    return np.shape(controller.step(controller.init(), r, r)[1])
 
 
 def _run(scn: Scenario, end: Flight, rows: Row, lane: int, memory: Any, compiled: bool) -> Run:
