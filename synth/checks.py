@@ -124,6 +124,15 @@ def as_signal(name: str, value: Any) -> np.ndarray:
     return as_array(name, value, finite=False)
 
 
+def restore(self: object, state: Mapping[str, Any]) -> None:
+    """`__setstate__` of a class whose arrays are read-only: in its copies and pickles they are so again."""
+    for name, value in state.items():
+        if isinstance(value, np.ndarray):
+            value = value.view()
+            value.flags.writeable = False
+        object.__setattr__(self, name, value)
+
+
 def as_matrix(name: str, value: Any, shape: tuple[int | None, int | None] = (None, None)) -> np.ndarray:
     """A finite float64 matrix; numbers and vectors become the row or column that fits `shape`, None fits any size."""
     M = as_array(name, value, "pass numbers in rows and columns", "a real matrix")

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from synth.checks import as_array, as_matrix, as_number, as_timebase, as_weight, check_period
+from synth.checks import as_array, as_matrix, as_number, as_timebase, as_weight, check_period, restore
 from synth.errors import ModelError
 from synth.systems.statespace import StateSpace, as_system
 
@@ -52,6 +52,7 @@ class LinearController:
     C: np.ndarray  # (m, n)
     D: np.ndarray  # (m, p)
     dt: float  # s
+    __setstate__ = restore
 
     def init(self) -> np.ndarray:
         """The zero state, (n,)."""

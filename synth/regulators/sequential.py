@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from synth.checks import as_limits, as_matrix, shown
+from synth.checks import as_limits, as_matrix, restore, shown
 from synth.errors import ExportError, ModelError
 from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.controller import LinearController
@@ -56,6 +56,7 @@ class SequentialController:
     umin: np.ndarray  # (m,) unit of u, -inf where free
     umax: np.ndarray  # (m,) unit of u, inf where free
     dt: float  # s
+    __setstate__ = restore
 
     @property
     def dtype(self) -> str:

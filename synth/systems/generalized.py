@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
-from synth.checks import as_array, as_matrix, as_names, as_texts, as_timebase, as_units, as_weight, as_whole
+from synth.checks import as_array, as_matrix, as_names, as_texts, as_timebase, as_units, as_weight, as_whole, restore
 from synth.errors import ModelError
 from synth.systems.connect import lft, series
 from synth.systems.statespace import StateSpace, as_system, as_systems, common_timebase, repeated
@@ -49,6 +49,7 @@ class GeneralizedPlant:
     z: tuple[str, ...] = ()  # (nz) names
     y: tuple[str, ...] = ()  # (ny) names
     units: Mapping[str, str] = field(default_factory=dict)  # channel name -> unit, for exported files
+    __setstate__ = restore
 
     def __post_init__(self):
         D11, D22 = as_matrix("D11", self.D11), as_matrix("D22", self.D22)

@@ -25,6 +25,7 @@ from synth.checks import (
     as_units,
     as_whole,
     given_names,
+    restore,
     shown,
 )
 from synth.errors import ModelError
@@ -60,6 +61,7 @@ class StateSpace:
     u: tuple[str, ...] = ()  # (m) names of the inputs; u0, u1, ... when left out
     y: tuple[str, ...] = ()  # (p) names of the outputs; y0, y1, ... when left out
     units: Mapping[str, str] = field(default_factory=dict)  # name -> unit
+    __setstate__ = restore
     __array_ufunc__ = None  # NumPy's operators leave systems to the operators below
 
     def __post_init__(self):
