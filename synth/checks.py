@@ -6,15 +6,19 @@ argument, what was got, and what to pass instead. Nothing is clipped, rounded or
 
 from __future__ import annotations
 
+import functools
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
-from synth.errors import ModelError
+from synth.errors import ModelError, NumericalError
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 SYMMETRIC = 1e-12  # relative
 POSITIVE = ("a symmetric positive semidefinite matrix", "a symmetric positive definite matrix")
@@ -122,6 +126,21 @@ def as_signal(name: str, value: Any) -> np.ndarray:
     if type(value) is np.ndarray and value.dtype == np.float64:
         return value
     return as_array(name, value, finite=False)
+
+
+def numerical(function: Callable[P, T]) -> Callable[P, T]:
+    """The function with what LAPACK and Python raise where doubles end as a `NumericalError`."""
+
+    @functools.wraps(function)
+    def told(*arguments: P.args, **options: P.kwargs) -> T:
+        try:
+            return function(*arguments, **options)
+        except (np.linalg.LinAlgError, ArithmeticError) as error:
+            raise NumericalError(
+                f"the numbers given are too large, too small or too far apart for doubles ({error}); choose other units"
+            ) from error
+
+    return told
 
 
 def restore(self: object, state: Mapping[str, Any]) -> None:

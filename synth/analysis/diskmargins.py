@@ -22,7 +22,7 @@ import numpy as np
 
 from synth.analysis.norms import balance, hinfnorm, is_stable
 from synth.analysis.structured import best_scaling, destabilising, structured_norm
-from synth.checks import as_array, as_number, as_sign
+from synth.checks import as_array, as_number, as_sign, numerical
 from synth.errors import ModelError, NumericalError
 from synth.systems.connect import feedback
 from synth.systems.sampled import cayley, pole_rate
@@ -72,6 +72,7 @@ class DiskMargin:
         return float(np.rad2deg(self.phase))
 
 
+@numerical
 def diskmargin(L: Any, sign: int = -1, *, skew: float = 0.0) -> DiskMargin:
     """Disk margin of a square loop, all of its channels at once, each changed on its own.
 

@@ -18,6 +18,7 @@ from synth.analysis.coprime import ncfmargin
 from synth.analysis.crossings import Crossings, find
 from synth.analysis.diskmargins import DiskMargin, diskmargin, negative
 from synth.analysis.norms import is_stable
+from synth.checks import numerical
 from synth.errors import ModelError, NumericalError
 from synth.systems.connect import delayed, feedback, lft, series
 from synth.systems.statespace import StateSpace, as_systems, check_loop
@@ -122,6 +123,7 @@ class Margins:
         return min(self.disk_input.alpha, self.disk_output.alpha)
 
 
+@numerical
 def margin(L: Any, sign: int = -1) -> Margin:
     """Gain, phase and delay margin of a loop of one signal.
 
@@ -156,6 +158,7 @@ def margin(L: Any, sign: int = -1) -> Margin:
     return kept
 
 
+@numerical
 def allmargin(L: Any, sign: int = -1) -> AllMargins:
     """Every gain, phase and delay that brings a loop of one signal to the critical point.
 
@@ -227,6 +230,7 @@ def _samples_borne(G: StateSpace, most: float) -> float:
     return min(count, most)
 
 
+@numerical
 def margins(P: Any, K: Any, sign: int = -1) -> Margins:
     """The margins of the loop of a plant and a controller, every signal on its own and all at once.
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from synth.analysis.precondition import check_assumptions
-from synth.checks import as_choice, as_number, as_whole
+from synth.checks import as_choice, as_number, as_whole, numerical
 from synth.equations.hinf_riccati import RiccatiRoute
 from synth.errors import InfeasibleError, ModelError, NumericalError, SynthError
 from synth.files import provenance
@@ -39,6 +39,7 @@ TOLERANCE = 1e-3  # relative distance from the optimum that the controller must 
 
 
 @one_thread
+@numerical
 def hinfsyn(
     P: Any,
     nmeas: int | None = None,
@@ -195,14 +196,21 @@ def as_plant(P: Any, nmeas: int | None, ncon: int | None) -> GeneralizedPlant:
 
 
 def make_route(name: str, plant: GeneralizedPlant) -> Route:
-    """The method of that name on a conditioned plant; CVXPY is imported here, when it is needed."""
+    """The method of that name on a conditioned plant; CVXPY is imported here, when it is needed.
+
+    Raises
+    ------
+    NumericalError : CVXPY cannot be imported.
+    """
     if name == "riccati":
         return RiccatiRoute.of(plant)
-    if name == "lmi":
+    try:
         from synth.lmi.eliminate import Eliminated
-
+        from synth.lmi.hinf import FullOrder
+        from synth.lmi.loops import extended, standard
+    except ImportError as error:
+        raise NumericalError(f"method {name!r} needs CVXPY, which is not installed as it should be: {error}") from error
+    if name == "lmi":
         return Eliminated.of(plant)
-    from synth.lmi.hinf import FullOrder
-    from synth.lmi.loops import extended, standard
 
     return FullOrder(extended(plant) if name == "extended" else standard(plant))

@@ -30,7 +30,7 @@ import numpy as np
 from synth.analysis.coprime import Solutions, balanced, gang_of_four, solutions
 from synth.analysis.norms import balance, judge
 from synth.analysis.precondition import check_assumptions
-from synth.checks import as_choice, as_number
+from synth.checks import as_choice, as_number, numerical
 from synth.equations.doubling import FINAL_RESIDUAL
 from synth.errors import InfeasibleError, ModelError, NumericalError, VerificationError
 from synth.files import provenance
@@ -56,6 +56,7 @@ class Optimum(NamedTuple):
 
 
 @one_thread
+@numerical
 def ncfsyn(
     G: Any,
     W1: Any = None,

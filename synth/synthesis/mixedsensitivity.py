@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from synth.analysis.norms import balance, is_stable, judge
-from synth.checks import as_number
+from synth.checks import as_number, numerical
 from synth.errors import AssumptionError, ModelError, VerificationError
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import TOLERANCE, hinfsyn, slowest_pole
@@ -93,6 +93,7 @@ def augw(G: Any, W1: Any = None, W2: Any = None, W3: Any = None) -> GeneralizedP
     )  # fmt: skip
 
 
+@numerical
 def mixsyn(
     G: Any,
     W1: Any = None,

@@ -53,7 +53,7 @@ def unreachable(A: np.ndarray, B: np.ndarray, *, discrete: bool) -> tuple[comple
     Tr, Z, k = schur[0], schur[1], int(schur[-1])
     Au, Bu = Tr[:k, :k].T, Z[:, :k].T @ B
     gain = np.linalg.norm(B, 2)
-    Bu = Bu * (size / gain) if gain > 0 else Bu
+    Bu = Bu / gain * size if gain > 0 else Bu  # size / gain overflows for the smallest doubles
     lost = []
     for mode in np.diag(Tr)[:k]:
         s = np.linalg.svd(np.hstack([Au - mode * np.eye(k), Bu]), compute_uv=False)
@@ -66,7 +66,7 @@ def unreachable(A: np.ndarray, B: np.ndarray, *, discrete: bool) -> tuple[comple
 def is_lost(A: np.ndarray, B: np.ndarray, mode: complex) -> bool:
     """True when B does not reach a mode of A, up to rounding."""
     size, gain = np.linalg.norm(A, 2) or 1.0, np.linalg.norm(B, 2) or 1.0
-    s = np.linalg.svd(np.hstack([A - mode * np.eye(len(A)), B * (size / gain)]), compute_uv=False)
+    s = np.linalg.svd(np.hstack([A - mode * np.eye(len(A)), B / gain * size]), compute_uv=False)
     return bool(s[-1] <= LOST * len(A) * size)
 
 

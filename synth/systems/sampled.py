@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
-from synth.checks import as_choice, as_period, timebase_told
+from synth.checks import as_choice, as_period, numerical, timebase_told
 from synth.errors import ModelError
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.realization import Matrices, rescaled, state_scales
@@ -35,6 +35,7 @@ MOVED = 1e-2  # relative distance from every pole of the plant from which on a p
 INDEPENDENT = 1e-2  # smallest singular value of D12, its columns of length one, with which every control is weighed
 
 
+@numerical
 def c2d(G: Any, dt: float, method: str = "zoh") -> StateSpace:
     """Continuous to discrete: `"zoh"` exact hold equivalent, `"tustin"` bilinear.
 
