@@ -23,6 +23,7 @@ import numpy as np
 from jax import Array
 
 from synth.checks import as_cost, shown
+from synth.equations.are import care
 from synth.equations.riccati import closed_loop_rate, continued, discrete_stabilising, stabilising, stabilising_pair
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.regulators.quaternion import as_period
@@ -262,12 +263,13 @@ class SdreHinfPaperLiteral:
     def create(cls, model: Factorisation, dt: float) -> SdreHinfPaperLiteral:
         """Unit weights, as published; errors of `Sdre.create`."""
         rest = _at_rest(model, None, None)
-        with jax.enable_x64(True):
-            _, A, B = model.factorise(jnp.asarray(model.target()), 1.0)
-            K, ok = published_gain(A, B, rest["shift"])
-        if not ok:
+        A, B = _linear(model)
+        X, (Z, ok) = rest["X"], _filter_at_rest(A, B, rest)
+        AK, BK = _published(A, B, X, Z, np.abs(np.linalg.eigvals(X @ Z)).max(), np)
+        P, solved = care(AK, BK, np.eye(len(A)))
+        if not (ok and solved):
             raise NumericalError("the third Riccati equation has no solution at the target; use SdreHinf")
-        return cls(model=model, gain=np.asarray(K), shift=rest["shift"], dt=as_period(dt))
+        return cls(model=model, gain=B.T @ P, shift=rest["shift"], dt=as_period(dt))
 
     def init(self) -> GainState:
         """Nothing failed."""
@@ -297,11 +299,14 @@ def robust_gain(
     """State feedback K = R^-1 B'Xg, filter solution Z and whether they exist; traceable."""
     Kb = R_inverse @ B.T
     X, Z, ok = stabilising_pair(A, B @ Kb, Q, shift)
-    XZ = X @ Z
-    g2 = gamma_factor**2 * (1 + _spectral_radius(XZ))
-    Xg = jnp.linalg.solve((1 - 1 / g2) * jnp.eye(len(A)) - XZ / g2, X)
-    K = Kb @ Xg
+    K = _robust(X, Z, Kb, gamma_factor, _spectral_radius(X @ Z), jnp)
     return K, Z, ok & jnp.isfinite(K).all()
+
+
+def _robust(X: Any, Z: Any, Kb: Any, gamma_factor: Any, rho: Any, xp: Any) -> Any:
+    """The state feedback of `SdreHinf` from the solutions of its two equations."""
+    g2 = gamma_factor**2 * (1 + rho)
+    return Kb @ xp.linalg.solve((1 - 1 / g2) * xp.eye(len(X)) - X @ Z / g2, X)
 
 
 @jax.jit
@@ -309,12 +314,16 @@ def published_gain(A: Array, B: Array, shift: Any) -> tuple[Array, Array]:
     """The gain of `SdreHinfPaperLiteral` and whether it exists; traceable."""
     I = jnp.eye(len(A))
     X, Z, ok = stabilising_pair(A, B @ B.T, I, shift)
-    XZ = X @ Z
-    g2 = 1 + _spectral_radius(XZ)  # equation 10
-    BK = g2 * jnp.linalg.solve((g2 * I + XZ).T, Z)  # equation 13 with C = I, D = 0 and its L changed
-    AK = A - B @ B.T @ X + BK
+    AK, BK = _published(A, B, X, Z, _spectral_radius(X @ Z), jnp)
     P, solved = stabilising(AK, BK @ BK.T, I, shift)
     return B.T @ P, ok & solved
+
+
+def _published(A: Any, B: Any, X: Any, Z: Any, rho: Any, xp: Any) -> tuple[Any, Any]:
+    """AK and BK of the published controller from the solutions of its first two equations."""
+    g2 = 1 + rho  # equation 10
+    BK = g2 * xp.linalg.solve((g2 * xp.eye(len(A)) + X @ Z).T, Z)  # equation 13 with C = I, D = 0 and its L changed
+    return A - B @ B.T @ X + BK, BK
 
 
 def as_gamma_factor(value: Any) -> float:
@@ -353,18 +362,24 @@ def _at_rest(model: Factorisation, Q: Any, R: Any) -> dict[str, Any]:
 def _robust_at_rest(model: Factorisation, Q: Any, R: Any, gamma_factor: float) -> dict[str, Any]:
     """Weights, and the robust gains at the target."""
     rest = _at_rest(model, Q, R)
-    del rest["X"]
     A, B = _linear(model)
-    with jax.enable_x64(True):
-        K, Z, ok = robust_gain(
-            jnp.asarray(A), jnp.asarray(B), rest["Q"], rest["R_inverse"], rest["shift"], gamma_factor
-        )  # fmt: skip
-    if not ok:
+    Z, ok = _filter_at_rest(A, B, rest)
+    X = rest.pop("X")
+    K = _robust(X, Z, rest["R_inverse"] @ B.T, gamma_factor, np.abs(np.linalg.eigvals(X @ Z)).max(), np)
+    if not (ok and np.isfinite(K).all()):
         raise AssumptionError(
             "(Q, A) detectable",
             "the filter has no solution at the target: Q does not see an unstable mode of A; weigh it",
         )
-    return rest | {"gain": np.asarray(K), "injection": np.asarray(Z) @ rest["Q"]}
+    return rest | {"gain": K, "injection": Z @ rest["Q"]}
+
+
+def _filter_at_rest(A: np.ndarray, B: np.ndarray, rest: dict[str, Any]) -> tuple[np.ndarray, bool]:
+    """Solution of the filter's equation at the target and whether it exists; NumPy, so that nothing is compiled."""
+    values, vectors = np.linalg.eigh(rest["Q"])
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    Z, ok = care(A.T, root, B @ rest["R_inverse"] @ B.T)
+    return np.where(ok, Z, 0.0), bool(ok)
 
 
 def _hold(state: GainState, x: Array, K: Array, ok: Array) -> tuple[GainState, Array]:
