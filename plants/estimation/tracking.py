@@ -24,6 +24,7 @@ from plants.dynamics.relative import EARTH_RATE, Sky, SkyEnv, Station, StationSt
 from plants.errors import ScenarioError
 from plants.estimation.navigation import scalar_updates
 from plants.simulation import blocks
+from plants.simulation.programs import Program
 from plants.simulation.simulate import rk4
 
 SHOWS = ("radius", "radial rate", "latitude", "longitude")  # what the rows of a measurement come from
@@ -270,7 +271,7 @@ def _dynamics(model: Station, x: ArrayLike, env: SkyEnv) -> Array:
     return jax.jacfwd(rate)(jnp.asarray(x))
 
 
-@jax.jit
+@Program
 def _slopes(model: Station, sensors: Tracking, above: Sky, x: Array) -> tuple[Array, Array]:
     """Slopes of dynamics (6, 6) and measurement (rows, 6)."""
     return _dynamics(model, x, above.at(0.0)), jax.jacfwd(sensors.expected)(x)

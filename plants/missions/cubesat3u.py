@@ -28,6 +28,7 @@ from plants.geometry import attitude
 from plants.hardware import sensors
 from plants.hardware.actuators import ReactionWheels
 from plants.simulation.linearize import LinearModel, linearize
+from plants.simulation.programs import Program
 from plants.surroundings import orbit
 from plants.surroundings.disturbances import Disturbance, Drag, GravityGradient, ResidualDipole, SolarPressure
 from plants.surroundings.environment import CircularEnvironment, Environment, sun_position
@@ -251,6 +252,6 @@ def _state_at_start(surroundings: Any, angles: np.ndarray, rates: np.ndarray, sp
     return BodyState(*(np.asarray(part) for part in x))
 
 
-@jax.jit
+@Program
 def _place(surroundings: Any, angles: Array, rates: Array, speeds: Array) -> BodyState:
     return state_from(attitude.from_euler(angles), rates, speeds, surroundings.at(0.0))

@@ -24,6 +24,7 @@ from plants.hardware.thrusters import PulsedThrusters, Thrusters
 from plants.outcome.indices import settling_time
 from plants.simulation.linearize import LinearModel, linearize
 from plants.simulation.loop import Loop, Run, Scenario
+from plants.simulation.programs import Program
 from plants.surroundings import gravity
 
 DAY = 86400.0  # () s
@@ -253,7 +254,7 @@ def _model(harmonics: gravity.Harmonics) -> LinearModel:
     return linearize(plant, at_rest(), np.zeros(3), sky(DAY).with_fixed_pole(), hold=("spent",))
 
 
-@jax.jit
+@Program
 def _perturbation(plant: Station, above: Sky, times: Array) -> Array:
     rest = StationState(*(jnp.zeros(3),) * 3)
     return jax.vmap(lambda t: jnp.asarray(plant.derivative(rest, jnp.zeros(3), above.at(t)).velocity))(times)

@@ -26,6 +26,7 @@ from plants.errors import ScenarioError
 from plants.geometry import attitude
 from plants.simulation import blocks
 from plants.simulation.loop import Run
+from plants.simulation.programs import Program
 
 GRID = 2001  # levels at which a bootstrap looks
 STATIC = {"static": True}  # settings: the same for all runs that are put together
@@ -303,7 +304,7 @@ def _levels(run: Run, start: float, delta_t: float, share: float, threshold: flo
     return levels, np.array(settling_time(run.time, angle, threshold))
 
 
-@jax.jit
+@Program
 def _angles(true: Any, known: Any, desired: Any) -> Any:
     """Euler angles (N, 3) rad of APE, control error and AKE, and the whole angle (N,) rad of APE."""
     miss = error(true, desired)

@@ -21,6 +21,7 @@ from plants.checks import real
 from plants.errors import ScenarioError
 from plants.simulation import blocks
 from plants.simulation.loop import Environment, Plant
+from plants.simulation.programs import Program
 
 RANK_TOLERANCE = 1e-9  # ()  relative to the largest singular value
 
@@ -85,7 +86,7 @@ def linearize(
     return LinearModel(F @ np.linalg.pinv(H), B, np.eye(size), np.zeros((size, B.shape[1])))
 
 
-@jax.jit
+@Program
 def _jacobians(plant: Any, environment: Any, x: Any, u: Array, t: Array) -> tuple[Array, Array, Array, Array]:
     """Slopes of the output and of the projection in x, and of the output's rate in x and u."""
     flat, shape = ravel_pytree(x)

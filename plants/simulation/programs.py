@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+from jax.core import Tracer
 from jax.experimental.compilation_cache import compilation_cache
 
 KEPT = 32  # programs; at worst 27 000 maps
@@ -48,7 +49,8 @@ class Program:
     static : names of the arguments that are part of the program, hashable
     """
 
-    def __init__(self, function: Callable[..., Any], *static: str) -> None:
+    def __init__(self, function: Callable[..., Any], static: tuple[str, ...] = ()) -> None:
+        self.__doc__ = function.__doc__
         self._function, self._static = function, static
         self._known: set[Any] = set()
 
@@ -60,6 +62,8 @@ class Program:
     def __call__(self, *args: Any, on_compile: Callable[[], None] | None = None) -> Any:
         """The function's result; `on_compile` is called before this form is compiled or fetched from the disk."""
         leaves, structure = jax.tree.flatten(args)
+        if any(isinstance(leaf, Tracer) for leaf in leaves):
+            return self.jitted(*args)  # part of another program
         key = structure, tuple((a.shape, a.dtype) if hasattr(a, "dtype") else a for a in leaves)
         if self._cache_size() < len(self._known):
             self._known.clear()  # jax.clear_caches was called

@@ -16,6 +16,7 @@ from jax.typing import ArrayLike
 from plants.checks import real
 from plants.errors import ScenarioError
 from plants.geometry import attitude
+from plants.simulation.programs import Program
 
 MU = 3.986004418e14  # () m^3/s^2  Earth's gravitational parameter, IERS Conventions (2010) without the last digits
 EARTH_RADIUS = 6378137.0  # () m  equatorial, WGS 84
@@ -115,7 +116,7 @@ def propagate(orbit: Orbit, times: ArrayLike) -> Orbit:
         return Orbit(*(np.moveaxis(np.asarray(x), 0, -2) for x in (r, v)))
 
 
-@jax.jit
+@Program
 def orbital_frame(r: ArrayLike, v: ArrayLike) -> Array:
     """Attitude q_ON of frame O relative to N at r (..., 3) m, v (..., 3) m/s: (..., 4)."""
     z = -attitude.normalise(r)
@@ -123,7 +124,7 @@ def orbital_frame(r: ArrayLike, v: ArrayLike) -> Array:
     return attitude.from_dcm(jnp.stack([attitude.cross(y, z), y, z], axis=-2))
 
 
-@jax.jit
+@Program
 def orbital_frame_rate(r: ArrayLike, v: ArrayLike) -> Array:
     """Inertial rate of frame O in its own axes under J2: (..., 3) rad/s.
 
@@ -138,7 +139,7 @@ def orbital_frame_rate(r: ArrayLike, v: ArrayLike) -> Array:
     return jnp.stack([jnp.zeros_like(h), -h / square, -jnp.sqrt(square) * across / h], axis=-1)
 
 
-@partial(jax.jit, static_argnames=("points", "substeps"))
+@partial(Program, static=("points", "substeps"))
 def _propagate(r: Array, v: Array, h: ArrayLike, points: int, substeps: int) -> tuple[Array, Array]:
     """States (points + 1, ..., 3) after every `substeps` steps of RK4."""
 
