@@ -48,6 +48,7 @@ RIGHT: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     ),
     "GeneralizedPlant.close": (WEIGHTED.close, {"K": 1.0}),
     "LinearController.of": (synth.LinearController.of, {"K": SAMPLED}),
+    "LinearController.padded": (synth.LinearController.of(SAMPLED).padded, {"states": 8}),
     "AntiWindup.of": (synth.AntiWindup.of, {"design": shaped(), "umin": -1.0, "umax": 1.0}),
     "SequentialController.of": (
         synth.SequentialController.of,

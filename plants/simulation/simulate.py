@@ -38,7 +38,7 @@ from plants.simulation.loop import Plant as Plant
 from plants.simulation.loop import Run as Run
 from plants.simulation.loop import Scenario as Scenario
 from plants.simulation.loop import Sensors as Sensors
-from plants.simulation.loop import check, check_numbers, output_shape, reference_at
+from plants.simulation.loop import check, check_numbers, output_shape
 
 
 def simulate(loop: Loop, scenario: Scenario, *, compiled: bool | None = None, record: Record | None = None) -> Run:

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from synth.checks import as_array, as_matrix, as_number, as_timebase, as_weight, check_period, restore
+from synth.checks import as_array, as_matrix, as_number, as_timebase, as_weight, as_whole, check_period, restore
 from synth.errors import ModelError
 from synth.systems.statespace import StateSpace, as_system
 
@@ -62,6 +62,20 @@ class LinearController:
         """(state, y, r) -> (state, u) with state (n,), y and r (p,), u (m,)."""
         e = r - y
         return self.A @ state + self.B @ e, self.C @ state + self.D @ e
+
+    def padded(self, states: int) -> LinearController:
+        """The same law with zeros for further states, so that controllers of different orders share a compiled flight.
+
+        Raises
+        ------
+        ModelError : no whole number up to 1000, or the controller has more states.
+        """
+        n = len(self.A)
+        states = as_whole("states", states, f"a whole number of at least {n}", least=n, most=max(n, 1000))
+        A, B = np.zeros((states, states)), np.zeros((states, self.B.shape[1]))
+        C = np.zeros((len(self.C), states))
+        A[:n, :n], B[:n], C[:, :n] = self.A, self.B, self.C
+        return LinearController(A, B, C, self.D, self.dt)
 
     @classmethod
     def of(cls, K: Any) -> LinearController:

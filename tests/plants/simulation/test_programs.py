@@ -4,12 +4,12 @@ import os
 import subprocess
 import sys
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
 import pytest
-from flown import Opaque, Pendulum, Swing, pd, scenario
+from flown import Opaque, Pendulum, Swing, cubesat, pd, scenario
 
 from plants.simulation import programs, simulate
 from plants.simulation.simulate import Loop
@@ -213,6 +213,38 @@ def test_a_caller_is_told_when_it_compiles(controller):
         told.clear()
         simulate.simulate_many(cases, on_compile=lambda: told.append(1), progress=False)
         assert bool(told) == expected
+
+
+def test_controllers_of_one_padded_order_share_a_program():
+    def padded(kp, order):
+        controller = pd(kp, 1.0)
+        A, B, C = np.zeros((order, order)), np.zeros((order, 2)), np.zeros((1, order))
+        return replace(controller, A=A, B=B, C=C)
+
+    scn, before = scenario(periods=11), simulate._fly._cache_size()
+    wide = [simulate.simulate(Loop(plant=Pendulum(), controller=padded(kp, 5)), scn) for kp in (3.0, 4.0)]
+    assert simulate._fly._cache_size() == before + 1
+    own = [simulate.simulate(Loop(plant=Pendulum(), controller=pd(kp, 1.0)), scn) for kp in (3.0, 4.0)]
+    for a, b in zip(wide, own, strict=True):
+        np.testing.assert_allclose(a.outputs, b.outputs, rtol=0, atol=1e-13)
+
+
+def test_a_gpu_flies_the_same(surroundings):
+    try:
+        gpu = jax.devices("cuda")[0]
+    except RuntimeError:
+        pytest.skip("JAX sees no CUDA device")
+    loop, scn = cubesat(surroundings, periods=20)
+    cases = [(loop, replace(scn, run=run)) for run in range(2)]
+    flown = {}
+    for device in (gpu, jax.devices("cpu")[0]):
+        for compiled in (True, False):
+            with jax.default_device(device):
+                flown[device, compiled] = simulate.simulate_many(cases, compiled=compiled, progress=False)
+    reference = flown.pop((jax.devices("cpu")[0], True))
+    for runs in flown.values():
+        for run, expected in zip(runs, reference, strict=True):
+            np.testing.assert_allclose(run.outputs, expected.outputs, rtol=0, atol=1e-9)
 
 
 SCRIPT = """

@@ -3,6 +3,8 @@ import pickle
 import control
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from synth.errors import ModelError
 from synth.regulators.controller import LinearController, proportional_derivative, state_feedback
@@ -115,3 +117,24 @@ def test_proportional_derivative_takes_a_full_inertia_matrix():
 def test_bad_values_are_named(change, message):
     with pytest.raises(ModelError, match=message):
         proportional_derivative(**({"inertia": INERTIA, "wn": 0.17, "zeta": 0.8, "dt": 0.5} | change))
+
+
+@given(order=st.integers(0, 6), more=st.integers(0, 6), seed=st.integers(0, 2**32 - 1))
+def test_padding_changes_nothing(order, more, seed):
+    rng = np.random.default_rng(seed)
+    K = LinearController(*(rng.standard_normal(s) for s in ((order, order), (order, 3), (2, order), (2, 3))), dt=0.5)
+    wide = K.padded(order + more)
+    narrow, padded = K.init(), wide.init()
+    for _ in range(5):
+        y = rng.standard_normal(3)
+        narrow, u = K.step(narrow, y, np.zeros(3))
+        padded, v = wide.step(padded, y, np.zeros(3))
+        np.testing.assert_allclose(v, u, rtol=0, atol=1e-13 * max(1, np.abs(u).max()))
+        np.testing.assert_array_equal(padded[order:], 0)
+    assert wide.dt == K.dt
+
+
+@pytest.mark.parametrize("states", [3, -1, 4.0, None])
+def test_padding_to_fewer_states_is_refused(states):
+    with pytest.raises(ModelError, match="at least 4"):
+        LinearController.of(random_system(4, 2, 3)).padded(states)
