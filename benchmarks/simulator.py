@@ -1,6 +1,8 @@
 """Seconds of the CubeSat's 1000 s closed loop: compilation apart, one run and a batch of 30, ratios to plant only.
 
 CPU seconds stand beside wall seconds, because on a busy machine only the former mean anything.
+What a million flights of this length cost follows from the last column: 44 ms of one core each with the Kalman filter
+in batches of 256, 12 hours; the first call's price is in `benchmarks/first.py`. It has not been measured on a GPU.
 
     python benchmarks/simulator.py [--runs 30] [--seconds 1000] [--repeats 3]
 """
