@@ -8,6 +8,9 @@
     simulation     `Loop` and `Scenario` go into `simulate`, `simulate_many`, `campaign`, `worst_flights`, `linearize`;
                    a `Run` comes out; `Store` reads what a campaign has stored, `sweep` goes through designs
     outcome        `indices`, `settling_time`, `run_plot`, `campaign_plot`; `report` and `study` make pages
+    simulation     `Loop` and `Scenario` go into `simulate`, `simulate_many`, `campaign`, `linearize`; a `Run` comes
+                   out; `Store` reads what a campaign has stored, `sweep` goes through designs
+    outcome        `indices`, `budget`, `settling_time`, `run_plot`, `campaign_plot`; `report` and `study` make pages
     missions       `cubesat3u`, `amazonia1`, `airbearing`, `geo`: the numbers of the studies
 
 The names below are imported when they are first used, so that ``import plants`` costs nothing.
@@ -66,14 +69,21 @@ if TYPE_CHECKING:
     from plants.outcome import figures as figures
     from plants.outcome import report as report
     from plants.outcome import study as study
+    from plants.outcome.budgets import Budget as Budget
+    from plants.outcome.budgets import Levels as Levels
+    from plants.outcome.budgets import Spread as Spread
+    from plants.outcome.budgets import budget as budget
+    from plants.outcome.budgets import sampled_loop as sampled_loop
     from plants.outcome.indices import Errors as Errors
     from plants.outcome.indices import Indices as Indices
     from plants.outcome.indices import clopper_pearson as clopper_pearson
     from plants.outcome.indices import indices as indices
     from plants.outcome.indices import pointing_errors as pointing_errors
+    from plants.outcome.indices import pooled_level as pooled_level
     from plants.outcome.indices import settling_time as settling_time
     from plants.outcome.indices import stability as stability
     from plants.outcome.indices import step_response as step_response
+    from plants.outcome.indices import windows as windows
     from plants.outcome.plots import campaign_plot as campaign_plot
     from plants.outcome.plots import run_plot as run_plot
     from plants.outcome.report import Card as Card
@@ -86,6 +96,8 @@ if TYPE_CHECKING:
     from plants.outcome.study import campaigns as campaigns
     from plants.outcome.study import drawings as drawings
     from plants.outcome.study import either as either
+    from plants.outcome.worstbudget import WorstBudget as WorstBudget
+    from plants.outcome.worstbudget import worst_budget as worst_budget
     from plants.simulation import blocks as blocks
     from plants.simulation.campaign import Campaign as Campaign
     from plants.simulation.campaign import campaign as campaign
@@ -102,6 +114,8 @@ if TYPE_CHECKING:
     from plants.simulation.loop import Run as Run
     from plants.simulation.loop import Scenario as Scenario
     from plants.simulation.loop import Sensors as Sensors
+    from plants.simulation.loopmodel import LoopModel as LoopModel
+    from plants.simulation.loopmodel import linear_loop as linear_loop
     from plants.simulation.simulate import can_compile as can_compile
     from plants.simulation.simulate import simulate as simulate
     from plants.simulation.simulate import simulate_many as simulate_many
@@ -131,6 +145,7 @@ _HOME = {  # of a name; modules are their own home
     "Atmosphere": "surroundings.environment",
     "AttitudeSuite": "hardware.sensors",
     "BodyState": "dynamics.rigidbody",
+    "Budget": "outcome.budgets",
     "Campaign": "simulation.campaign",
     "Card": "outcome.report",
     "CircularEnvironment": "surroundings.environment",
@@ -150,8 +165,10 @@ _HOME = {  # of a name; modules are their own home
     "Gyro": "hardware.sensors",
     "Indices": "outcome.indices",
     "Kalman": "estimation.kalman",
+    "Levels": "outcome.budgets",
     "LinearModel": "simulation.linearize",
     "Loop": "simulation.loop",
+    "LoopModel": "simulation.loopmodel",
     "Magnetometer": "hardware.sensors",
     "Navigator": "simulation.loop",
     "Observability": "estimation.tracking",
@@ -175,6 +192,7 @@ _HOME = {  # of a name; modules are their own home
     "Sky": "dynamics.relative",
     "Smoothing": "estimation.navigation",
     "SolarPressure": "surroundings.disturbances",
+    "Spread": "outcome.budgets",
     "StateSensor": "estimation.tracking",
     "Statement": "outcome.study",
     "Station": "dynamics.relative",
@@ -191,11 +209,13 @@ _HOME = {  # of a name; modules are their own home
     "Unfiltered": "estimation.tracking",
     "Verdict": "outcome.study",
     "WorstFlights": "simulation.worstflights",
+    "WorstBudget": "outcome.worstbudget",
     "airbearing": "missions.airbearing",
     "amazonia1": "missions.amazonia1",
     "attitude": "geometry.attitude",
     "attitude_suite": "hardware.sensors",
     "blocks": "simulation.blocks",
+    "budget": "outcome.budgets",
     "campaign": "simulation.campaign",
     "campaign_plot": "outcome.plots",
     "campaigns": "outcome.study",
@@ -211,13 +231,16 @@ _HOME = {  # of a name; modules are their own home
     "geo": "missions.geo",
     "indices": "outcome.indices",
     "kalman": "estimation.kalman",
+    "linear_loop": "simulation.loopmodel",
     "linearize": "simulation.linearize",
     "observability": "estimation.tracking",
     "pointing_errors": "outcome.indices",
     "replay": "simulation.campaign",
+    "pooled_level": "outcome.indices",
     "replay_case": "simulation.campaign",
     "report": "outcome.report",
     "run_plot": "outcome.plots",
+    "sampled_loop": "outcome.budgets",
     "settling_time": "outcome.indices",
     "simulate": "simulation.simulate",
     "simulate_many": "simulation.simulate",
@@ -229,6 +252,8 @@ _HOME = {  # of a name; modules are their own home
     "svd_navigator": "estimation.navigation",
     "sweep": "simulation.sweep",
     "worst_flights": "simulation.worstflights",
+    "windows": "outcome.indices",
+    "worst_budget": "outcome.worstbudget",
 }
 
 __all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -218,7 +218,7 @@ def lyapunov(A: np.ndarray, Q: np.ndarray) -> np.ndarray:
     return X
 
 
-def sampled(A: ArrayLike, B: ArrayLike, dt: float) -> tuple[np.ndarray, np.ndarray]:
+def sampled_loop(A: ArrayLike, B: ArrayLike, dt: float) -> tuple[np.ndarray, np.ndarray]:
     """A continuous loop dx/dt = A x + B w at its sampling instants, exactly, for `budget`.
 
     Parameters

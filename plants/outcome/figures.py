@@ -167,3 +167,25 @@ def shares(
         ax.set_ylabel("share of runs")
         fig.legend(loc="outside upper left", ncols=min(4, len(counts)))
         return fig
+
+
+def composition(panels: Mapping[str, Mapping[str, np.ndarray]], parts: Sequence[str]) -> Figure:
+    """Bars of what sums are made of, in per cent: title -> row -> (parts,), none negative."""
+    with mpl.rc_context(STYLE):
+        rows = max(len(panel) for panel in panels.values())
+        fig = Figure(figsize=(2.3 * len(panels) + 1.9, 0.9 + 0.24 * rows), layout="constrained")
+        axes = fig.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
+        for ax, (title, panel) in zip(axes, panels.items(), strict=True):
+            table = np.array(list(panel.values()), float)
+            total = table.sum(axis=1, keepdims=True)
+            percent = 100 * table / np.where(total > 0, total, 1.0)
+            left = np.cumsum(percent, axis=1) - percent
+            for j, part in enumerate(parts):
+                ax.barh(list(panel), percent[:, j], left=left[:, j], height=0.75, label=part)
+            ax.set_title(title)
+            ax.grid(False)
+            ax.set_xlim(0, 100)
+        axes[0].invert_yaxis()
+        axes[len(axes) // 2].set_xlabel("%")
+        fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=min(3, len(parts)))
+        return fig

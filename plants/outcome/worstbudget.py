@@ -18,7 +18,7 @@ from plants.errors import ScenarioError
 from plants.outcome.budgets import Budget, Levels, budget, spectral_radius
 
 CORNERS = 12  # parameters at most, 4096 corners
-FIRST, LAST = 1 / 4, 1 / 256  # step of the search, parts of the box
+FIRST = 1 / 4  # step of the search, part of the box
 
 Loops = Callable[[np.ndarray], tuple[ArrayLike, ArrayLike, ArrayLike, ArrayLike]]
 
@@ -43,6 +43,7 @@ def worst_budget(
     share: float = 0.95,
     axes: Sequence[int] = (),
     starts: int = 3,
+    smallest: float = 1 / 256,
     **options: Any,
 ) -> WorstBudget:
     """The largest level of one error that a search finds in a box.
@@ -57,6 +58,7 @@ def worst_budget(
     share : () of the level
     axes : errors to look at, of which the largest counts; all by default
     starts : points from which the search goes on
+    smallest : last step of the search, part of the box, positive; 1 leaves it at corners and centre
     options : further ones of `budget`
 
     Raises
@@ -74,6 +76,9 @@ def worst_budget(
         raise ScenarioError(f"index = {index!r}: give one of {', '.join(Levels._fields)}")
     if not isinstance(starts, int) or starts < 1:
         raise ScenarioError(f"starts = {starts!r}: give a whole number of at least 1")
+
+    if not smallest > 0:
+        raise ScenarioError(f"smallest = {smallest!r}: give a positive part of the box")
 
     def at_points(points: np.ndarray) -> tuple[np.ndarray, Budget | None]:
         """Which of the loops are stable (b,), and the budget of those, with one leading axis."""
@@ -102,7 +107,7 @@ def worst_budget(
     nominal, evaluated = score[0], len(points)
     order = np.argsort(-score, kind="stable")[:starts]
     at, top, step = points[order], score[order], FIRST
-    while step >= LAST and np.isfinite(top).all():
+    while step >= smallest and np.isfinite(top).all():
         moves = step * width * np.concatenate([np.eye(least.size), -np.eye(least.size)])
         tried = np.clip(at[:, None] + moves, least, most)
         score = scores(tried.reshape(-1, least.size)).reshape(tried.shape[:2])

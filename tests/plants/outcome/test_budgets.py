@@ -8,7 +8,7 @@ from scipy.linalg import block_diag
 from scipy.stats import norm
 
 from plants.errors import ScenarioError
-from plants.outcome.budgets import budget, lyapunov, sampled, spectral_radius
+from plants.outcome.budgets import budget, lyapunov, sampled_loop, spectral_radius
 from plants.outcome.indices import pooled_level, windows
 
 ERRORS = ("ape", "mpe", "rpe", "pse")
@@ -172,14 +172,14 @@ def test_constants_and_contributions():
 
 def test_a_continuous_loop_is_sampled_exactly():
     """The Ornstein-Uhlenbeck process, and a stiff loop whose exponential of -A dt overflows."""
-    Ad, Bd = sampled([[-0.5]], [[2.0]], 0.1)
+    Ad, Bd = sampled_loop([[-0.5]], [[2.0]], 0.1)
     assert Ad[0, 0] == pytest.approx(np.exp(-0.05))
     assert Bd[0, 0] ** 2 == pytest.approx(4 * (1 - np.exp(-0.1)))
     A = block_diag(-1e5, [[0.0, 1.0], [-1.0, -0.2]])
-    Ad, Bd = sampled(A, np.ones((3, 1)), 10.0)
+    Ad, Bd = sampled_loop(A, np.ones((3, 1)), 10.0)
     X = lyapunov(Ad, Bd @ Bd.T)
     np.testing.assert_allclose(A @ X + X @ A.T, -np.ones((3, 3)), atol=1e-6)
-    fine = budget(*sampled([[-0.5]], [[1.0]], 1e-3), [[1.0]], [[0.0]], 1e-3, window=2.0, delta_t=2.0)
+    fine = budget(*sampled_loop([[-0.5]], [[1.0]], 1e-3), [[1.0]], [[0.0]], 1e-3, window=2.0, delta_t=2.0)
     mean = 2 * (2 * 0.5 - 1 + np.exp(-1)) / 1.0  # of a window of 2 s: variance 2 (aT - 1 + exp(-aT)) / (aT)^2, aT = 1
     assert fine.mpe.variance[0, 0, 0] == pytest.approx(mean, rel=1e-3)
 

@@ -49,6 +49,9 @@ def test_the_worst_may_lie_inside():
     found = worst_budget(loops, [-1, 0], [1, 1], 0.5, axes=[1], **OPTIONS)
     np.testing.assert_allclose(found.parameters, [0.3, 0.0], atol=0.01)
     assert found.budget is not None
+    corners = worst_budget(loops, [-1, 0], [1, 1], 0.5, axes=[1], smallest=1.0, **OPTIONS)
+    assert corners.evaluated == 5
+    assert corners.parameters.tolist() in ([0.0, 0.5], [1.0, 0.0])
     first = worst_budget(loops, [-1, 0], [1, 1], 0.5, axes=[0], **OPTIONS)
     assert first.level == pytest.approx(1.959964, rel=1e-6)
 
@@ -80,6 +83,7 @@ def test_instants_of_one_loop_are_pooled():
     ({"low": [0.0] * 13, "high": [1.0] * 13}, "at most 12"),
     ({"index": "ake"}, "give one of ape, mpe, rpe, pse"),
     ({"starts": 0}, "starts = 0"),
+    ({"smallest": 0.0}, "smallest = 0"),
     ({"share": 1.0}, "share"),
 ])  # fmt: skip
 def test_unusable_boxes_are_refused(change, message):
