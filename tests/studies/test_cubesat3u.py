@@ -91,6 +91,8 @@ def test_files_and_report(flown):
         assert re.search(rf"figure {number}\b", page)
     assert not re.search(r'(src|href)="(https?:)?//', page)
     assert "EKF + PD" in page
+    assert 'id="pointing-budget"' in page
+    assert re.search(r"\d \| \d+(\.\d+)? \(\d", page)  # predicted beside measured
     assert "complete" in page
     for fact in s.design.facts.values():
         assert f"<dd>{html.escape(fact)}</dd>" in page
