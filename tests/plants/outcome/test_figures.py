@@ -40,3 +40,13 @@ def test_every_run_and_its_requirement_stand_in_levels():
     np.testing.assert_array_equal(bound.get_ydata(), [2.5, 2.5])
     assert [text.get_text() for text in ax.get_xticklabels()] == ["a", "b"]
     assert ax.get_title() == "APE, deg"
+
+
+def test_bars_of_what_sums_are_made_of_end_at_a_hundred():
+    panels = {axis: {"one": np.array([1.0, 3.0]), "none": np.zeros(2)} for axis in ("roll", "yaw")}
+    first, second = figures.composition(panels, ["noise", "mean"]).axes
+    assert (first.get_title(), second.get_title()) == ("roll", "yaw")
+    noise, mean = first.containers
+    assert [bar.get_width() for bar in noise] == [25.0, 0.0]
+    assert [bar.get_x() + bar.get_width() for bar in mean] == [100.0, 0.0]
+    assert (noise.get_label(), mean.get_label()) == ("noise", "mean")
