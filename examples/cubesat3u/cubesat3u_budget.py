@@ -4,6 +4,9 @@ The loop is linearised along the noise-free flight from the middle of table 5, a
 the plant, the sensors, the filter with its gains and its moving average, the controller. At each instant the model is
 taken as stationary, and the instants are pooled. The errors of that flight are the mean. Momentum is conserved, so that
 what a run starts with turns its wheels for good: a constant, drawn for every run.
+
+Neglected: what is left of the start's transient; that the filter still learns the gyro's bias, so that its gains are
+never those of a stationary one; the spread of the inertia, of which `worst_inertia` says what it is worth.
 """
 
 from __future__ import annotations

@@ -20,7 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
-from scipy.stats import beta
+from scipy.stats import beta, norm
+from scipy.stats import t as student
 
 from plants.errors import ScenarioError
 from plants.geometry import attitude
@@ -28,7 +29,7 @@ from plants.simulation import blocks
 from plants.simulation.loop import Run
 from plants.simulation.programs import Program
 
-GRID = 2001  # levels at which a bootstrap looks
+GRID = 4001  # levels at which a bootstrap looks
 STATIC = {"static": True}  # settings: the same for all runs that are put together
 
 
@@ -201,12 +202,12 @@ def pooled_level(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The level of |error| over all samples of all runs, and its bootstrap interval: (level, low, high), (...) each.
 
-    Runs are drawn, not samples, because the samples of a run depend on each other. Efron and Tibshirani (1993),
-    chapter 13, percentile interval.
+    Runs are drawn, not samples, because the samples of a run depend on each other. Percentiles, expanded for few runs
+    as by Student's t: Hesterberg (2015), The American Statistician 69(4).
 
     Parameters
     ----------
-    errors : of every run, (N, ...)
+    errors : of every run, (N, ...) with the same N
     share : () of all samples, in (0, 1]
     confidence : () of the interval, in (0, 1)
     resamples, seed : of the bootstrap
@@ -214,13 +215,17 @@ def pooled_level(
     Raises
     ------
     ScenarioError
-        Fewer than two runs, a share or a confidence outside its range.
+        Fewer than two runs, runs of different lengths, a share or a confidence outside its range.
     """
     if len(errors) < 2:
         raise ScenarioError(f"errors: got {len(errors)} run; an interval over runs needs two at least")
     if not (0 < share <= 1 and 0 < confidence < 1):
         raise ScenarioError(f"share = {share}, confidence = {confidence}: give parts of (0, 1]")
+    if len({np.shape(run) for run in errors}) > 1:
+        raise ScenarioError("errors: the runs have samples of different shapes; give all the same number of samples")
     sizes = np.array([np.abs(run) for run in errors])
+    few = np.sqrt(len(sizes) / (len(sizes) - 1))
+    tail = norm.cdf(few * student.ppf((1 - confidence) / 2, len(sizes) - 1))
     draws = np.random.default_rng(seed).multinomial(len(sizes), np.full(len(sizes), 1 / len(sizes)), resamples)
     levels = np.quantile(sizes.reshape(-1, *sizes.shape[2:]), np.linspace(0, 1, GRID), axis=0, method="inverted_cdf")
     found = np.empty((3, *sizes.shape[2:]))
@@ -230,7 +235,7 @@ def pooled_level(
         drawn = grid[np.argmax(draws @ below / len(sizes) >= share - 1e-12, axis=1)]
         found[(slice(None), *at)] = (
             quantile(sizes[(..., *at)].ravel(), share),
-            *np.quantile(drawn, [(1 - confidence) / 2, (1 + confidence) / 2]),
+            *np.quantile(drawn, [tail, 1 - tail]),
         )
     return found[0], found[1], found[2]
 

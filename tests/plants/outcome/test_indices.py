@@ -207,13 +207,16 @@ def test_pooled_level_and_its_interval():
         indices.pooled_level([np.zeros(5)])
     with pytest.raises(ScenarioError, match="share = 2"):
         indices.pooled_level([np.zeros(5)] * 2, share=2)
+    with pytest.raises(ScenarioError, match="different shapes"):
+        indices.pooled_level([np.zeros(5), np.zeros(6)])
 
 
-def test_the_interval_covers_the_level_as_often_as_it_says():
-    """Thirty runs of correlated samples, a hundred times."""
+@pytest.mark.parametrize(("count", "least"), [(8, 80), (30, 90)])
+def test_the_interval_covers_the_level_as_often_as_it_says(count, least):
+    """Runs of correlated samples, a hundred times; of a handful the tails are not known so well."""
     rng, hits = np.random.default_rng(2), 0
     for _ in range(100):
-        runs = rng.normal(size=(30, 1)) * 0.7 + rng.normal(size=(30, 40)) * np.sqrt(1 - 0.49)
+        runs = rng.normal(size=(count, 1)) * 0.7 + rng.normal(size=(count, 40)) * np.sqrt(1 - 0.49)
         _, low, high = indices.pooled_level([*runs[..., None]], 0.9, resamples=400)
-        hits += low[0] < 1.6448536 < high[0]
-    assert hits >= 85
+        hits += int(low[0] < 1.6448536 < high[0])
+    assert hits >= least
