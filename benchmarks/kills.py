@@ -144,6 +144,8 @@ def disturbed(folder: Path, dispersed: Any, kills: int, rng: random.Random) -> t
                 continue
             who = "process" if at == pid else "worker"
             done[f"{who}, {kill.signal.name}, {kill.moment}"] += 1
+            if done.total() % 20 == 0:
+                print(f"{done.total()} kills, {len(list(chunks.glob('*.parquet')))} of {todo} chunks", file=sys.stderr)
             if at == pid:
                 code = ended(pid, wait=True)
             kill = drawn(rng)._replace(worker=kill.worker and rng.random() < 0.8)
