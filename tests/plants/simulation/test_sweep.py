@@ -66,5 +66,5 @@ def test_bad_grids_are_named(message, grid):
 
 
 def test_a_mistake_at_every_point_is_raised_at_once():
-    with pytest.raises(ScenarioError, match=r"(?s)every run of the first batch.*missing 2 required"):
+    with pytest.raises(ScenarioError, match=r"(?s)every one of the first 2 runs.*missing 2 required"):
         sweep(design, {"weight": [1.0, 2.0]}, processes=False, progress=False)
