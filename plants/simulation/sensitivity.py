@@ -347,5 +347,5 @@ def _slopes_each(
     return form.each(one, leaves, pushes)
 
 
-_values = programs.Program(_values_each, "form", "record", "objective", "dt")
-_slopes = programs.Program(_slopes_each, "form", "moving", "record", "objective", "dt")
+_values = programs.Program(_values_each, ("form", "record", "objective", "dt"))
+_slopes = programs.Program(_slopes_each, ("form", "moving", "record", "objective", "dt"))
