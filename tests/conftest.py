@@ -9,6 +9,7 @@ import pytest
 # small matrices on two cores: BLAS threads cost more than they bring; must be set before NumPy is imported
 for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
+sys.modules.setdefault("notebook", None)  # jupytext looks for Jupyter's and runs ours
 os.environ["CONVEX_SYNTH_CACHE"] = "off"  # nothing of the tests in the user's folder, nothing from it in the tests
 
 

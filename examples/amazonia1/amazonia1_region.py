@@ -185,6 +185,8 @@ def drawings(found: Study) -> list[tuple[Figure, str]]:
         "Initial conditions (figure 1), and those that the wheels can bring to rest at the desired attitude: "
         "|(A' J w0)_k| <= Is w_max for every axis. Dashed: the paper's limit.",
     )]  # fmt: skip
+    if not found.campaigns:
+        return drawn
     torque, regions, bound = {}, {}, {}
     for name, flown in found.campaigns.items():
         o, i, feasible = found.outcome(name), flown.index, found.feasible(name)

@@ -359,7 +359,7 @@ def main(arguments: list[str] | None = None) -> int:
         if not options.fast:
             worst.ask(question(found.rate, DRAWS, options.seed), found.worst, seed=options.seed)
 
-    study.carry_out(found, flights, options)
+    study.carry_out(found, flights)
     return study.conclude(
         found,
         options.out,

@@ -42,7 +42,9 @@ class Campaign:
     varied: tuple[str, ...]  # paths of the numbers of (loop, scenario) that differed between runs
     kept: dict[int, Run]  # full trajectories, by index
     complete: bool  # False if interrupted
-    errors: dict[int, str]  # tracebacks of the runs that ended in an exception, by index; they are not in `index`
+    errors: dict[int, str] = dataclasses.field(
+        default_factory=dict
+    )  # tracebacks of the runs that ended in an exception, by index; they are not in `index`
 
     def __str__(self) -> str:
         """One paragraph: how many runs, how many sound, what varied, what went wrong."""

@@ -108,7 +108,7 @@ def _taken(loop: Loop, scn: Scenario, nu: tuple[int, ...]) -> None:
             jax.eval_shape(tried, loop, scn)
         except PlantError:
             raise
-        except Exception as error:
+        except (TypeError, ValueError, IndexError) as error:  # what wrong shapes raise; other mistakes are its own
             raise ScenarioError(f"{_name(taker)} does not take a command of shape {nu}: {_told(error)}") from error
 
 

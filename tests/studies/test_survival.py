@@ -7,7 +7,11 @@ import sys
 import time
 from pathlib import Path
 
+import airbearing
+import amazonia1
 import amazonia1_region as region
+import cubesat3u
+import geo
 import numpy as np
 import pytest
 
@@ -98,3 +102,13 @@ def test_options_of_the_command_line_reach_the_campaigns(tmp_path, capsys, monke
         region.main([*ARGUMENTS, "--out", out, "--resume"])
     assert end.value.code == 2
     assert "error: store there" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("module", [airbearing, amazonia1, region, cubesat3u, geo])
+def test_a_study_that_is_stopped_before_its_first_flight_has_a_report(module, tmp_path, monkeypatch):
+    def fly(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "fly", fly)
+    assert module.main(["--fast", "--out", str(tmp_path)]) == 130
+    assert "INTERRUPTED" in (tmp_path / "report.html").read_text()
