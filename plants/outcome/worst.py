@@ -9,7 +9,7 @@ import numpy as np
 
 from plants.outcome import figures
 from plants.outcome.study import Table
-from plants.simulation.flights import Case
+from plants.simulation.batch import Case
 from plants.simulation.loop import Run
 from plants.simulation.sensitivity import Objective
 from plants.simulation.worstflights import WorstFlights, worst_flights

@@ -17,8 +17,8 @@ import numpy as np
 
 from plants.errors import ScenarioError
 from plants.simulation import blocks, engines, identity, simulate
+from plants.simulation.batch import LANE, Case, Flights, Read, at, replay_case, varied
 from plants.simulation.conduct import Conducted, chained, conduct
-from plants.simulation.flights import LANE, Case, Flights, Read, at, replay_case, varied
 from plants.simulation.loop import Run
 from plants.simulation.progress import Bar
 
@@ -141,7 +141,7 @@ def campaign(
     ------
     ScenarioError
         No runs, unusable numbers in the first cases (the message names the run), dispersions that did not reach the
-        loop, a first batch in which every run ended in an exception.
+        loop, first runs that all ended in an exception.
     StoreError
         The store is another study's, damaged, in use or cannot be written.
     EngineError
@@ -265,7 +265,8 @@ def _described(flights: Flights, sampled: Sequence[Any], runs: int) -> dict[str,
         "seed": flights.seed,
         "hashes": {
             "plant and scenario": identity.digest(world),
-            "controller": identity.digest(loop.controller),
+            "controller": identity.digest((loop.controller, flights.compiled)),
+            "shared": identity.digest(flights.shared),
             "dispersions": identity.digest(jax.tree.leaves(flights.dispersed)),
             **{name: identity.digest(function) for name, function in functions.items()},
         },

@@ -17,7 +17,7 @@ import numpy as np
 
 from plants.errors import ScenarioError
 from plants.simulation import blocks, engines, records
-from plants.simulation.flights import Batch, form
+from plants.simulation.batch import Batch, form
 from plants.simulation.loop import Run
 from plants.simulation.progress import Bar
 from plants.simulation.store import Store

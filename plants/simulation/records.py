@@ -8,8 +8,8 @@ import numpy as np
 import pyarrow as pa
 
 from plants.errors import StoreError
+from plants.simulation.batch import ARRAYS, Batch
 from plants.simulation.columns import array
-from plants.simulation.flights import ARRAYS, Batch
 from plants.simulation.loop import Run
 from plants.simulation.store import Store
 

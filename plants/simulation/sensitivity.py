@@ -20,9 +20,9 @@ import numpy as np
 
 from plants.errors import ScenarioError
 from plants.simulation import blocks, programs, simulate
+from plants.simulation.batch import Case
 from plants.simulation.campaign import count
 from plants.simulation.flight import fly
-from plants.simulation.flights import Case
 from plants.simulation.loop import Loop, Run, Scenario, check, check_numbers
 
 Objective = Callable[[Run], Any]

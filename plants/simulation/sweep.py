@@ -11,8 +11,8 @@ import numpy as np
 
 from plants.errors import ScenarioError
 from plants.simulation import blocks, engines, identity
+from plants.simulation.batch import Batch, alike
 from plants.simulation.conduct import chained, conduct
-from plants.simulation.flights import Batch, alike
 from plants.simulation.progress import Bar
 
 SHARE = 16  # parts at least, so that a worker that is fast does more of them

@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from plants.errors import ScenarioError
 from plants.simulation import blocks, simulate
-from plants.simulation.flights import Case
+from plants.simulation.batch import Case
 from plants.simulation.loop import Run
 from plants.simulation.sensitivity import Box, Objective, Response
 

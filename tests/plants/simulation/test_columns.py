@@ -16,8 +16,8 @@ from scipy.interpolate import CubicSpline
 
 from plants.errors import StoreError
 from plants.simulation import identity, records
+from plants.simulation.batch import Batch
 from plants.simulation.columns import array, column, together
-from plants.simulation.flights import Batch
 from plants.simulation.store import Store
 
 KINDS = ("f8", "f4", "f2", "i8", "i4", "i2", "i1", "u8", "u4", "u2", "u1", "?", "c16", "c8")
