@@ -123,7 +123,8 @@ def campaign(
         flown again, must come out as it did.
     batch : runs flown at once by one worker; by default as many as `memory` allows, 256 at most
     memory : bytes for the rows of all workers together, with their copies; by default 256 MiB, or what 8 runs take
-    workers : threads or processes that fly batches at the same time, by default one for each processor
+    workers : threads or processes that fly batches at the same time, by default one for each processor, one thread
+        for controllers that are stepped from Python
     processes : fly in processes instead of threads: better for controllers that are stepped from Python, and a
         process that dies loses nothing. `case`, `shared`, `measure` must be picklable by cloudpickle.
     scheduler : address of a Dask scheduler whose workers fly, instead of this machine; needs the extra "dask"
@@ -153,6 +154,8 @@ def campaign(
             raise ScenarioError(f"{name} = {value!r}: give a whole number of at least 1")
     hands = engines.check(workers, processes, scheduler)
     flights, sampled = _flights(case, dispersed, shared, measure, read, record, seed, keep, compiled)
+    if workers is None and scheduler is None and not (flights.compiled or processes):
+        hands = 1  # threads that step Python take turns: two need half as long again as one
     if batch is None:
         loop, scenario = sampled[0]
         row = simulate.row_bytes(loop, scenario, record)

@@ -105,9 +105,6 @@ def _in_processes(work: Work[T], chunks: Sequence[Chunk], workers: int) -> Outco
     def pool() -> Any:
         return ProcessPoolExecutor(workers, timeout=IDLE, initializer=_settle_in, initargs=(os.getpid(), payload))
 
-    def end(executor: Any) -> None:
-        executor.shutdown(wait=False, kill_workers=True)
-
     suspects: list[Chunk] = []  # of having ended a process; one at a time, so that it is known which
     executor = pool()
     pending: dict[Future, Chunk] = {}
@@ -133,10 +130,10 @@ def _in_processes(work: Work[T], chunks: Sequence[Chunk], workers: int) -> Outco
                     else:
                         suspects.append(chunk)
                 pending.clear()
-                end(executor)
+                executor.shutdown(wait=False, kill_workers=True)
                 executor = pool()
     finally:
-        end(executor)
+        executor.shutdown(wait=not pending, kill_workers=bool(pending))
 
 
 def _on_cluster(work: Work[T], chunks: Sequence[Chunk], address: str) -> Outcomes:

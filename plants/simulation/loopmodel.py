@@ -11,7 +11,6 @@ frozen, which is right to first order, because they meet an innovation of zero.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, NamedTuple
 
 import jax
@@ -20,13 +19,11 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from plants.errors import ScenarioError
-from plants.simulation import blocks
+from plants.simulation import blocks, programs
 from plants.simulation.flight import Flight, advance, launch
 from plants.simulation.loop import Loop, Scenario, check, env_at, reference_at
 from plants.simulation.simulate import can_compile
 
-# what runs a few times is not worth optimising: a third of the time to compile
-OPTIONS = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
 RANK_TOLERANCE = 1e-9  # () relative, of coordinates in rows of unit length
 
 Errors = Callable[[Any, Any, Any], Any]
@@ -125,9 +122,8 @@ def linear_loop(
     for block in (dealt.sensors, loop.controller):
         blocks.register(block)
     with jax.enable_x64(True):
-        carries, slopes = _compiled()
-        starts = jax.tree.map(lambda a: a[at], carries(dealt, scenario))
-        parts = slopes(dealt, scenario, starts, jnp.asarray(at), (errors, coordinates, push, pushes))
+        starts = jax.tree.map(lambda a: a[at], _carries(dealt, scenario))
+        parts = _slopes(dealt, scenario, starts, jnp.asarray(at), (errors, coordinates, push, pushes))
         moved, told, T, mean = (np.asarray(a) for a in parts)
     n, held = moved.shape[-2], T.shape[-2] - moved.shape[-2]
     J = np.concatenate([moved, told], axis=-2)
@@ -143,20 +139,6 @@ def linear_loop(
     return LoopModel(J[:, :n, :n], J[:, :n, n:], J[:, n:, :n], J[:, n:, n:], mean, at * float(scenario.dt))
 
 
-@cache
-def _compiled() -> tuple[Any, Any]:
-    """`_carries` and `_slopes` under `OPTIONS`, if this XLA knows them."""
-    try:
-        options: Any = OPTIONS
-        jax.jit(lambda: 0, compiler_options=options)()
-    except Exception:
-        options = None
-    return (
-        jax.jit(_carries, compiler_options=options),
-        jax.jit(_slopes, static_argnames="functions", compiler_options=options),
-    )
-
-
 def _period(loop: Loop, scn: Scenario, carry: Any, k: Any) -> Any:
     """One control period: the new (flight, memory), and its rows."""
     w, memory = carry
@@ -166,7 +148,7 @@ def _period(loop: Loop, scn: Scenario, carry: Any, k: Any) -> Any:
     return (w._replace(culprit=None, failed=None), new), rows
 
 
-def _carries(loop: Loop, scn: Scenario) -> Any:
+def _carries_of(loop: Loop, scn: Scenario) -> Any:
     """(flight, memory) at the beginning of every period."""
     r = reference_at(loop, scn, 0)
     shapes = jax.eval_shape(lambda: loop.controller.step(loop.controller.init(), r, r))
@@ -181,7 +163,7 @@ def _carries(loop: Loop, scn: Scenario) -> Any:
     return jax.lax.scan(step, (w, memory), jnp.arange(scn.periods))[1]
 
 
-def _slopes(loop: Loop, scn: Scenario, carries: Any, at: Any, functions: Any) -> Any:
+def _slopes_of(loop: Loop, scn: Scenario, carries: Any, at: Any, functions: Any) -> Any:
     """For each period the slopes of coordinates and errors in (carry, push, noise), of all coordinates, the errors."""
     errors, coordinates, push, pushes = functions
     shape = (scn.samples, loop.sensors.sensors.channels)  # pyright: ignore[reportAttributeAccessIssue, reportOptionalMemberAccess]
@@ -208,3 +190,7 @@ def _slopes(loop: Loop, scn: Scenario, carries: Any, at: Any, functions: Any) ->
         return (*slopes, T, mean)
 
     return jax.vmap(one)(carries, at)
+
+
+_carries = programs.Program(_carries_of, once=True)
+_slopes = programs.Program(_slopes_of, ("functions",), once=True)

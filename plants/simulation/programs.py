@@ -34,7 +34,8 @@ SIZE = 256 << 20  # bytes on disk, the oldest programs go first; the CubeSat stu
 QUICK = 0.05  # s, what compiles faster is not kept on disk
 
 # the emitters of fused kernels that XLA took in 2025 need half as long again for the long chains of small arrays here
-OPTIONS = {"xla_cpu_use_fusion_emitters": False}
+OPTIONS: dict[str, bool | int] = {"xla_cpu_use_fusion_emitters": False}
+UNOPTIMISED = {"xla_backend_optimization_level": 0}  # what runs a few times: a third of the time to compile
 
 _compiling = threading.RLock()  # JAX's configuration is that of the whole process
 _broken: list[Path] = []  # folders that have failed in this process
@@ -47,17 +48,18 @@ class Program:
     ----------
     function : traceable
     static : names of the arguments that are part of the program, hashable
+    once : whether it runs so seldom that optimising it would take longer than it saves
     """
 
-    def __init__(self, function: Callable[..., Any], static: tuple[str, ...] = ()) -> None:
+    def __init__(self, function: Callable[..., Any], static: tuple[str, ...] = (), *, once: bool = False) -> None:
         self.__doc__ = function.__doc__
-        self._function, self._static = function, static
+        self._function, self._static, self._once = function, static, once
         self._known: set[Any] = set()
 
     @cached_property
     def jitted(self) -> Any:
         """The function for a loop that has called this object before: it costs less, and keeps nothing on disk."""
-        return jax.jit(self._function, static_argnames=self._static, compiler_options=options())
+        return jax.jit(self._function, static_argnames=self._static, compiler_options=options(self._once))
 
     def __call__(self, *args: Any, on_compile: Callable[[], None] | None = None) -> Any:
         """The function's result; `on_compile` is called before this form is compiled or fetched from the disk."""
@@ -95,13 +97,14 @@ def make_room(*programs: Program) -> None:
 
 
 @cache
-def options() -> dict[str, bool] | None:
-    """`OPTIONS`, or None where this XLA does not know them."""
+def options(once: bool = False) -> dict[str, bool | int] | None:
+    """`OPTIONS`, with `UNOPTIMISED` for what runs once, or None where this XLA does not know them."""
+    asked = {**OPTIONS, **UNOPTIMISED} if once else OPTIONS
     try:
-        jax.jit(lambda: 0, compiler_options=OPTIONS)()
+        jax.jit(lambda: 0, compiler_options=asked)()
     except Exception:
         return None
-    return OPTIONS
+    return asked
 
 
 def folder() -> Path | None:
