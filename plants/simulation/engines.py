@@ -10,6 +10,7 @@ import functools
 import os
 import platform
 import queue
+import sys
 import threading
 import time
 from collections.abc import Callable, Generator, Sequence
@@ -226,6 +227,9 @@ def _mismatch(here: tuple[tuple[str, str], ...]) -> str:
 
 def _pickled(work: Any) -> bytes:
     import cloudpickle
+
+    if "__mp_main__" in sys.modules:  # the caller's script in a process of its own, which no other can import
+        cloudpickle.register_pickle_by_value(sys.modules["__mp_main__"])
 
     try:
         return cloudpickle.dumps(work)
