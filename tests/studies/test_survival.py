@@ -24,44 +24,46 @@ ARGUMENTS = ["--fast", "--runs", "8", "--period", "0.5"]
 
 
 def start(out, *more):
-    """The study in a process of its own."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    """The study in a process of its own; it keeps its programs for the next."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "CONVEX_SYNTH_CACHE": str(out.parent / "programs")}
     return subprocess.Popen(
         [sys.executable, str(SCRIPT), *ARGUMENTS, "--out", str(out), *more], env=environment, cwd=out.parent,
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
     )  # fmt: skip
 
 
-def wait_for(condition, seconds=240.0):
-    """Until it holds."""
-    end = time.monotonic() + seconds
-    while not condition():
+def struck(out, number):
+    """What the study tells that gets a signal when one of its campaigns has been flown, and its exit code."""
+    process, end = start(out), time.monotonic() + 240
+    while not [*out.glob("runs/lqr/chunks/*.parquet")]:
         assert time.monotonic() < end, "nothing was flown in time"
         time.sleep(0.05)
+    process.send_signal(number)
+    told, _ = process.communicate(timeout=240)
+    assert Store(out / "runs" / "lqr").index.tolist() == list(range(8))
+    return told, process.returncode
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
-def test_what_was_flown_outlives_a_signal(tmp_path, number):
-    out = tmp_path / "out"
-    process = start(out)
-    wait_for(lambda: [*out.glob("runs/lqr/chunks/*.parquet")])
-    process.send_signal(number)
-    told, _ = process.communicate(timeout=240)
-    if number == signal.SIGKILL:
-        assert process.returncode == -signal.SIGKILL
-    else:
-        assert process.returncode == 130
-        assert "interrupted: the report holds what was flown" in told
-        assert "INTERRUPTED" in (out / "report.html").read_text()
-    assert Store(out / "runs" / "lqr").index.tolist() == list(range(8))
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_study_that_is_told_to_end_reports_what_was_flown(tmp_path, number):
+    told, code = struck(tmp_path / "out", number)
+    assert code == 130
+    assert "interrupted: the report holds what was flown" in told
+    assert "INTERRUPTED" in (tmp_path / "out" / "report.html").read_text()
+
+
+@pytest.mark.slow
+def test_a_study_that_was_killed_is_resumed(tmp_path):
+    out, fresh = tmp_path / "out", tmp_path / "fresh"
+    assert struck(out, signal.SIGKILL)[1] == -signal.SIGKILL
     before = [*out.glob("runs/lqr/chunks/*.parquet")]
-    resumed = start(out, "--resume")
-    told, _ = resumed.communicate(timeout=480)
+    told, _ = (resumed := start(out, "--resume")).communicate(timeout=480)
     assert resumed.returncode == 0, told
     assert [*out.glob("runs/lqr/chunks/*.parquet")] == before
-    fresh = tmp_path / "fresh"
-    assert region.main([*ARGUMENTS, "--out", str(fresh)]) == 0
+    undisturbed = start(fresh)
+    told, _ = undisturbed.communicate(timeout=480)
+    assert undisturbed.returncode == 0, told
     with np.load(out / "region.npz") as one, np.load(fresh / "region.npz") as other:
         for name in other.files:
             np.testing.assert_array_equal(one[name], other[name])
