@@ -9,7 +9,7 @@ work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 "${PYTHON:-python3}" -m venv "$work/env"
 "$work/env/bin/python" -m pip install --quiet --disable-pip-version-check uv
-echo hatchling >"$work/build.in" # which installs the project itself
+printf "hatchling\neditables\n" >"$work/build.in" # which install the project itself
 
 lock() { # NAME, options
   "$work/env/bin/python" -m uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
