@@ -12,6 +12,8 @@ from plants.errors import StoreError
 def column(name: str, values: np.ndarray, missing: np.ndarray | None = None) -> tuple[pa.Field, pa.Array]:
     """A field and its column (n,) of an array (n, ...), whose rows become lists; `missing` (n,) are null.
 
+    Of a missing list the entries are null, not the list itself, which Arrow could not read back before version 26.
+
     Raises
     ------
     StoreError
@@ -26,19 +28,17 @@ def column(name: str, values: np.ndarray, missing: np.ndarray | None = None) -> 
         told["shape"] = json.dumps(shape)
     if 0 in shape:  # Arrow has no empty lists of one length
         values = np.zeros(len(values), values.dtype)
-    mask = missing if missing is not None and missing.any() else None
+    size = int(np.prod(values.shape[1:]))
+    mask = np.repeat(missing, size) if missing is not None and missing.any() else None
     flat = np.ascontiguousarray(values).reshape(-1)
     try:
-        made = pa.array(
-            flat.tolist() if text else flat, pa.string() if text else None, mask=mask if values.ndim == 1 else None
-        )
+        made = pa.array(flat.tolist() if text else flat, pa.string() if text else None, mask=mask)
     except (pa.ArrowException, UnicodeError) as error:
         raise StoreError(
             f"{name} of type {values.dtype} cannot be stored ({error}): give numbers or plain text"
         ) from error
     if values.ndim > 1:
-        kind = pa.list_(made.type, int(np.prod(shape)))
-        made = pa.FixedSizeListArray.from_arrays(made, type=kind, mask=None if mask is None else pa.array(mask))
+        made = pa.FixedSizeListArray.from_arrays(made, type=pa.list_(made.type, size))
     return pa.field(name, made.type, metadata=told or None), made
 
 
@@ -46,14 +46,17 @@ def array(stored: pa.ChunkedArray, field: pa.Field) -> np.ndarray:
     """The array that `column` was given; what is missing is NaN, "" among texts."""
     told = field.metadata or {}
     shape = json.loads(told.get(b"shape", b"[]"))
-    there = None if not stored.null_count else np.asarray(stored.is_valid())
+    there = np.asarray(stored.is_valid())
     full = stored.drop_null() if stored.null_count else stored
     if pa.types.is_fixed_size_list(full.type):
+        size = full.type.list_size
         full = pa.chunked_array([part.flatten() for part in full.chunks], full.type.value_type)
+        there[there] = np.asarray(full.is_valid()).reshape(-1, size).all(axis=1)
+        full = full.drop_null()
     text = pa.types.is_string(full.type)
     values = np.array(full.to_pylist(), str) if text else full.to_numpy()
     values = np.zeros((len(values), *shape), values.dtype) if 0 in shape else values.reshape(-1, *shape)
-    if there is not None:
+    if not there.all():
         blank = np.array("") if text else np.array(np.nan)
         wide = np.full((len(there), *shape), blank, values.dtype if text else np.result_type(values, np.float64))
         wide[there] = values

@@ -157,7 +157,8 @@ def test_an_exception_is_the_failure_of_its_run(reference, tmp_path, options):
     assert "ended in an exception: 1, the first run 9: RuntimeError: this run went wrong" in str(result)
     row = Store(tmp_path).table().to_pandas().iloc[9]
     assert row["culprit"] == "exception"
-    assert row["results.last"] is None
+    assert row["results.last"] is None or np.isnan(row["results.last"]).all()
+    assert row["error"].endswith("RuntimeError: this run went wrong\n")
     again = fly(measure=ninth, store=tmp_path, resume=True)
     assert again.errors == result.errors
     np.testing.assert_array_equal(again.results["last"], result.results["last"])
