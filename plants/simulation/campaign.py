@@ -268,7 +268,7 @@ def _described(flights: Flights, sampled: Sequence[Any], runs: int) -> dict[str,
         "seed": flights.seed,
         "hashes": {
             "plant and scenario": identity.digest(world),
-            "controller": identity.digest((loop.controller, flights.compiled)),
+            "controller": identity.digest(loop.controller),
             "shared": identity.digest(flights.shared),
             "dispersions": identity.digest(jax.tree.leaves(flights.dispersed)),
             **{name: identity.digest(function) for name, function in functions.items()},

@@ -49,7 +49,7 @@ def test_cubesat_with_its_extended_kalman_filter():
     ]
     assert counts[0] <= 5  # of 36, where 2 are expected of independent ones
     assert counts[1] == 0  # all at once, with 95 % (Bonferroni)
-    assert "no proof" in found.worst
+    assert "no proof" in found.worst_ape
     table = told.compared(found, found.budget, found.worst)
     assert len(table.rows) == 12
     assert f"{counts[0]} of 36" in table.note

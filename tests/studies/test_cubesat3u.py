@@ -82,11 +82,11 @@ def test_files_and_report(flown):
     assert design.plant.units["Tx"] == "N m"
     assert {p.name for p in out.iterdir()} == {
         "hinf.json", "hinf.mat", "mpc_velocity.json", "mpc_velocity.mat", "mpc_position.json", "mpc_position.mat",
-        "report.html", "indices.png",
+        "report.html", "indices.png", "runs",
     }  # fmt: skip
     assert json.loads((out / "mpc_position.json").read_text())["form"] == "position"
     page = (out / "report.html").read_text()
-    assert page.count("<figure>") == 12
+    assert page.count("<figure>") == 13
     for number in range(7, 17):
         assert re.search(rf"figure {number}\b", page)
     assert not re.search(r'(src|href)="(https?:)?//', page)
@@ -102,7 +102,7 @@ def test_files_and_report(flown):
 
 @needs_chromium
 def test_report_in_a_browser(flown):
-    check(flown[2] / "report.html", figures=12)
+    check(flown[2] / "report.html", figures=13)
 
 
 def test_interruption_keeps_what_was_flown(tmp_path, monkeypatch, capsys):

@@ -47,6 +47,8 @@ def struck(out, number):
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_study_that_is_told_to_end_reports_what_was_flown(tmp_path, number):
+    if signal.getsignal(number) == signal.SIG_IGN:
+        pytest.skip("whoever started these tests has this signal ignored")
     told, code = struck(tmp_path / "out", number)
     assert code == 130
     assert "interrupted: the report holds what was flown" in told
