@@ -26,6 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 import jax
 import numpy as np
 from dispersed import Damper, case, last, sample
+from processes import workers
 
 from plants.simulation import campaign
 from plants.simulation.store import Store
@@ -84,19 +85,6 @@ def life(work: Callable[[], campaign.Campaign]) -> int:
         os._exit(code)
 
 
-def children(pid: int) -> list[int]:
-    """Workers of a process, as Linux lists them."""
-    found = []
-    for entry in Path("/proc").glob("[0-9]*"):
-        try:
-            parent = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
-            if parent == pid and "popen_loky" in (entry / "cmdline").read_text():
-                found.append(int(entry.name))
-        except (OSError, ValueError, IndexError):
-            continue  # it has just ended
-    return found
-
-
 def ended(pid: int, wait: bool = False) -> int | None:
     """How a life ended, None if it lives."""
     got, status = os.waitpid(pid, 0 if wait else os.WNOHANG)
@@ -137,7 +125,7 @@ def disturbed(folder: Path, dispersed: Any, kills: int, rng: random.Random) -> t
             code = moment(kill, pid, chunks, share, rng)
             if code is not None:
                 break
-            at = rng.choice(children(pid) or [pid]) if kill.worker else pid
+            at = rng.choice(workers(pid) or [pid]) if kill.worker else pid
             try:
                 os.kill(at, kill.signal)
             except ProcessLookupError:
