@@ -127,6 +127,15 @@ class RigidBody:
         q = attitude.compose(x.q, attitude.conjugate(env.q_ON))
         return jnp.concatenate([attitude.positive(q)[1:], x.w - attitude.rotate(q, env.w_ON)])
 
+    def error(self, y: ArrayLike, r: ArrayLike) -> Array:
+        """How far an output y (6,) is from a reference r (6,): (6,) as `output`, relative to the attitude of r.
+
+        At any angle: beyond small ones the difference of two vector parts is no rotation.
+        """
+        y, r = jnp.asarray(y), jnp.asarray(r)
+        q = attitude.compose(attitude.from_vector(y[:3]), attitude.conjugate(attitude.from_vector(r[:3])))
+        return jnp.concatenate([attitude.positive(q)[1:], y[3:] - attitude.rotate(q, r[3:])])
+
     def project(self, x: BodyState) -> BodyState:
         """The state with its quaternion scaled to unit length."""
         return x._replace(q=attitude.normalise(x.q))

@@ -12,7 +12,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from plants.errors import PlantError, ScenarioError
-from plants.simulation.loop import Controller, Loop, Scenario, env_at, reference_at
+from plants.simulation.loop import (
+    Controller,
+    Loop,
+    Scenario,
+    act,
+    actuator_channels,
+    env_at,
+    first_estimate,
+    reference_at,
+    seen,
+)
 
 
 def begin(controller: Controller) -> Any:
@@ -49,8 +59,8 @@ def step(controller: Controller, memory: Any, y: np.ndarray, r: np.ndarray, nu: 
     return new, _vector(controller, command, nu, f"at t = {t:.9g} s")
 
 
-def traced(controller: Controller, y: Any) -> tuple[Any, Any]:
-    """Shapes of the state and of the command (nu,) where JAX can trace the controller, y and r being (ny,).
+def traced(loop: Loop, scn: Scenario) -> tuple[Any, Any]:
+    """Shapes of the controller's state and of its command (nu,) where JAX can trace it.
 
     Raises
     ------
@@ -59,8 +69,10 @@ def traced(controller: Controller, y: Any) -> tuple[Any, Any]:
     Exception
         Any other, if it cannot be traced.
     """
+    controller = loop.controller
     memory = jax.eval_shape(lambda c: c.init(), controller)
-    new, command = _pair(controller, jax.eval_shape(lambda c, s, y: c.step(s, y, y), controller, memory, y))
+    told = jax.eval_shape(lambda: seen(loop, scn, first_estimate(loop, scn), reference_at(loop, scn, 0)))
+    new, command = _pair(controller, jax.eval_shape(lambda c, s, told: c.step(s, *told), controller, memory, told))
     forms = [(jax.tree.structure(s), [leaf.shape for leaf in jax.tree.leaves(s)]) for s in (memory, new)]
     if forms[0] != forms[1]:
         raise ScenarioError(f"{_name(controller)}.step returns a state of another form than it was given")
@@ -79,7 +91,7 @@ def shape(loop: Loop, scn: Scenario, compiled: bool) -> tuple[int, ...]:
     """
     if compiled:
         try:
-            nu = traced(loop.controller, reference_at(loop, scn, 0))[1].shape
+            nu = traced(loop, scn)[1].shape
         except ScenarioError:
             raise
         except Exception as error:
@@ -87,8 +99,8 @@ def shape(loop: Loop, scn: Scenario, compiled: bool) -> tuple[int, ...]:
                 f"{_name(loop.controller)} cannot be compiled: {_told(error)}; pass compiled=False to step it"
             ) from error
     else:
-        r = np.asarray(reference_at(loop, scn, 0))
-        nu = np.shape(step(loop.controller, begin(loop.controller), r, r, (), 0.0)[1])
+        y, r = map(np.asarray, seen(loop, scn, first_estimate(loop, scn), reference_at(loop, scn, 0)))
+        nu = np.shape(step(loop.controller, begin(loop.controller), y, r, (), 0.0)[1])
     _taken(dataclasses.replace(loop, controller=None), scn, nu)  # pyright: ignore[reportArgumentType]
     return nu
 
@@ -96,14 +108,14 @@ def shape(loop: Loop, scn: Scenario, compiled: bool) -> tuple[int, ...]:
 def _taken(loop: Loop, scn: Scenario, nu: tuple[int, ...]) -> None:
     """Raise `ScenarioError` if actuator and plant do not take a command of that shape."""
 
-    def act(loop: Loop, scn: Scenario) -> Any:
-        u = jnp.zeros(nu)
-        return u if loop.actuator is None else loop.actuator.apply(loop.actuator.init(), u, scn.initial)[1]
+    def put(loop: Loop, scn: Scenario) -> Any:
+        s = None if loop.actuator is None else loop.actuator.init()
+        return act(loop, s, jnp.zeros(nu), scn.initial, jnp.zeros(actuator_channels(loop)), scn.h)[1]
 
     def move(loop: Loop, scn: Scenario) -> Any:
-        return loop.plant.derivative(jax.tree.map(jnp.asarray, scn.initial), act(loop, scn), env_at(scn, 0.0))
+        return loop.plant.derivative(jax.tree.map(jnp.asarray, scn.initial), put(loop, scn), env_at(scn, 0.0))
 
-    for taker, tried in ((loop.actuator, act), (loop.plant, move)):
+    for taker, tried in ((loop.actuator, put), (loop.plant, move)):
         try:
             jax.eval_shape(tried, loop, scn)
         except PlantError:

@@ -13,8 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from plants.simulation.loop import Loop, Plant, Scenario, reference_at
+from plants.simulation.loop import Loop, Plant, Scenario, act, actuator_channels, first_estimate, reference_at, seen
 
+ACTUATOR = 2**32 - 1  # names the noise of the actuator, where the sensors' has the index of a sample
 CULPRITS = ("", "controller", "plant", "navigator", "sensors")
 
 Record = Callable[[Any, Any, Any, Any], Any]
@@ -52,14 +53,13 @@ def advance(loop: Loop, scn: Scenario, record: Record | None, w: Flight, command
     indices = k * scn.samples + 1 + jnp.arange(scn.samples)  # of the measurements that end the samples
 
     def sample(now: Flight, turn: Any) -> tuple[Flight, Row]:
-        envs, noise, index = turn
+        envs, noise, torque_noise, index = turn
         h = jnp.where(index > 0, scn.h, 0.0)
         stages = [jax.tree.map(lambda a, m=m: a[m], envs) for m in range(2 * scn.steps + 1)]
-        actuator, u = now.actuator, queue[0]
-        if loop.actuator is not None:
-            actuator, u = loop.actuator.apply(actuator, queue[0], now.x)
+        actuator, u = act(loop, now.actuator, queue[0], now.x, torque_noise, scn.h)
         extra = None if record is None else record(now.x, stages[0], now.sensors, now.navigator)
-        row = Row(now.x, loop.plant.output(now.x, stages[0]), now.estimate, command, u, extra)
+        output = loop.plant.output(now.x, stages[0])
+        row = Row(now.x, output, now.estimate[: output.shape[0]], command, u, extra)
         x = now.x
         for s in range(0, 2 * scn.steps, 2):
             x = loop.plant.project(rk4(loop.plant, x, u, stages[s : s + 3], h / scn.steps))
@@ -68,7 +68,7 @@ def advance(loop: Loop, scn: Scenario, record: Record | None, w: Flight, command
         moved = jax.lax.optimization_barrier(moved)
         return _either(index >= 0, observe(loop, moved, stages[-1], noise, h), moved), row
 
-    new, rows = jax.lax.scan(sample, w, (_surroundings(scn, k), _noise(loop, scn, indices), indices))
+    new, rows = jax.lax.scan(sample, w, (_surroundings(scn, k), *_noise(loop, scn, indices), indices))
     return _judge(scn, w, new._replace(pending=queue[1:]), command, k), rows
 
 
@@ -113,15 +113,16 @@ def fly_each(each: Callable[..., Any], scn: Scenario, record: Record | None) -> 
     """
 
     def start(case: tuple[Loop, Scenario]) -> Any:
-        controller, r0 = case[0].controller, reference_at(*case, 0)
-        shapes = jax.eval_shape(lambda: controller.step(controller.init(), r0, r0))
+        controller, seen0 = case[0].controller, seen(*case, first_estimate(*case), reference_at(*case, 0))
+        shapes = jax.eval_shape(lambda: controller.step(controller.init(), *seen0))
         memory = jax.tree.map(lambda a, s: jnp.asarray(a, s.dtype), controller.init(), shapes[0])
         return launch(*case, shapes[1].shape), memory
 
     def period(carry: Any, k: Any) -> Any:
         def one(case: tuple[Loop, Scenario], w: Flight, memory: Any) -> Any:
             loop, scn = case
-            new, command = loop.controller.step(memory, w.estimate, reference_at(loop, scn, jnp.maximum(k, 0)))
+            y, r = seen(loop, scn, w.estimate, reference_at(loop, scn, jnp.maximum(k, 0)))
+            new, command = loop.controller.step(memory, y, r)
             new = _either((w.culprit == 0) & (k >= 0), new, memory)
             command = jnp.where(k >= 0, jnp.asarray(command, float), 0.0)
             w, rows = advance(loop, scn, record, w, command, k)
@@ -141,18 +142,16 @@ def fly_each(each: Callable[..., Any], scn: Scenario, record: Record | None) -> 
 def launch(loop: Loop, scn: Scenario, nu: tuple[int, ...]) -> Flight:
     """The `Flight` before the first measurement, made by period -1."""
     command = jnp.zeros(nu)
-    u, actuator = command, None
-    if loop.actuator is not None:
-        actuator = loop.actuator.init()
-        shape = jax.eval_shape(loop.actuator.apply, actuator, command, scn.initial)[1]
-        u = jnp.zeros(shape.shape)
+    actuator = None if loop.actuator is None else loop.actuator.init()
+    noise = jnp.zeros(actuator_channels(loop))
+    u = jnp.zeros(jax.eval_shape(lambda x: act(loop, actuator, command, x, noise, scn.h)[1], scn.initial).shape)
     w = Flight(
         x=scn.initial,
         u=u,
         sensors=None if loop.sensors is None else loop.sensors.init(),
         measured=jnp.ones((), bool),
         navigator=None if loop.navigator is None else loop.navigator.init(),
-        estimate=reference_at(loop, scn, 0),
+        estimate=first_estimate(loop, scn),
         actuator=actuator,
         pending=jnp.zeros((loop.delay, *nu)),
         culprit=jnp.zeros((), int),
@@ -175,17 +174,19 @@ def _surroundings(scn: Scenario, k: Any) -> Any:
     return jax.tree.map(lambda a: a[turns], envs)
 
 
-def _noise(loop: Loop, scn: Scenario, indices: Any) -> Any:
-    """Standard normal numbers of the samples (n,), (n, channels); or None."""
-    if loop.sensors is None:
-        return None
-    channels = loop.sensors.channels
+def _noise(loop: Loop, scn: Scenario, indices: Any) -> tuple[Any, Any]:
+    """Standard normal numbers of the samples (n,) for sensors and actuator, each (n, channels) or None."""
     key = jax.random.fold_in(jax.random.key(scn.seed, impl="threefry2x32"), scn.run)
+    at = jnp.maximum(indices, 0)
 
-    def draw(i: Any) -> Any:
-        return jax.random.normal(jax.random.fold_in(key, i), (channels,))
+    def draw(key: Any, channels: int) -> Any:
+        return jax.vmap(lambda i: jax.random.normal(jax.random.fold_in(key, i), (channels,)))(at)
 
-    return jax.vmap(draw)(jnp.maximum(indices, 0))
+    channels = actuator_channels(loop)
+    return (
+        None if loop.sensors is None else draw(key, loop.sensors.channels),
+        draw(jax.random.fold_in(key, ACTUATOR), channels) if channels else None,
+    )
 
 
 def _judge(scn: Scenario, w: Flight, new: Flight, command: Any, k: Any) -> Flight:

@@ -57,7 +57,11 @@ class Sensors(Protocol):
 
 
 class Navigator(Protocol):
-    """What is known of the plant: measurements in, an estimate of the plant's output out."""
+    """What is known of the plant: measurements in, an estimate of the plant's output out.
+
+    A navigator with an attribute `ny` gives so many numbers: the estimate of the output first, then what else the
+    controller is to know, such as a magnetic field.
+    """
 
     def init(self) -> Any:
         """State before the first measurement."""
@@ -86,7 +90,11 @@ class Controller(Protocol):
 
 
 class Actuator(Protocol):
-    """What comes of the command: limits, lags, distribution."""
+    """What comes of the command: limits, lags, distribution.
+
+    One with an attribute `channels` is called as ``apply(s, command, x, noise, h)``, with so many independent standard
+    normal numbers in every sample of h s, none of them those of the sensors.
+    """
 
     def init(self) -> Any:
         """State before the first command."""
@@ -241,6 +249,40 @@ def reference_at(loop: Loop, scn: Scenario, k: Any = None) -> Any:
         return jnp.zeros(output_shape(loop, scn).shape)
     table = jnp.asarray(scn.reference, float)
     return table if table.ndim == 1 or k is None else table[k]
+
+
+def act(loop: Loop, s: Any, command: Any, x: Any, noise: Any, h: Any) -> tuple[Any, Any]:
+    """New state of the actuator and the plant's input u; without an actuator u is the command."""
+    if loop.actuator is None:
+        return s, command
+    if actuator_channels(loop):
+        return loop.actuator.apply(s, command, x, noise, h)  # pyright: ignore[reportCallIssue]
+    return loop.actuator.apply(s, command, x)
+
+
+def actuator_channels(loop: Loop) -> int:
+    """Normal numbers that the actuator takes in a sample."""
+    return getattr(loop.actuator, "channels", 0)
+
+
+def first_estimate(loop: Loop, scn: Scenario) -> Any:
+    """What stands for the estimate before there is one: the reference, and zeros for what else a navigator tells."""
+    r = reference_at(loop, scn, 0)
+    more = getattr(loop.navigator, "ny", r.shape[0]) - r.shape[0]
+    return jnp.concatenate([r, jnp.zeros(more)]) if more else r
+
+
+def seen(loop: Loop, scn: Scenario, estimate: Any, r: Any) -> tuple[Any, Any]:
+    """What the controller gets, an estimate and a reference: their difference and zeros where the plant says how.
+
+    A plant with ``error(y, r)``, both (ny,), says how far y is from r, such as by the quaternion between two attitudes:
+    a difference of their vector parts means nothing beyond small angles.
+    """
+    error = getattr(loop.plant, "error", None)
+    if error is None or scn.reference is None:
+        return estimate, r
+    ny = r.shape[0]
+    return jnp.concatenate([error(estimate[:ny], r), estimate[ny:]]), jnp.zeros(ny)
 
 
 def _check_shapes(loop: Loop, scn: Scenario) -> None:

@@ -21,7 +21,16 @@ from jax.flatten_util import ravel_pytree
 from plants.errors import ScenarioError
 from plants.simulation import blocks, programs
 from plants.simulation.flight import Flight, advance, launch
-from plants.simulation.loop import Loop, Scenario, check, env_at, reference_at
+from plants.simulation.loop import (
+    Loop,
+    Scenario,
+    actuator_channels,
+    check,
+    env_at,
+    first_estimate,
+    reference_at,
+    seen,
+)
 from plants.simulation.simulate import can_compile
 
 RANK_TOLERANCE = 1e-9  # () relative, of coordinates in rows of unit length
@@ -68,6 +77,22 @@ class _Dealer:
         return _Dealt(sensors, jnp.roll(s.noise, -1, axis=0)), y
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Quiet:
+    """An actuator without its noise."""
+
+    actuator: Any
+    h: float  # () s
+
+    def init(self) -> Any:
+        """State before the first command."""
+        return self.actuator.init()
+
+    def apply(self, s: Any, command: Any, x: Any) -> tuple[Any, Any]:
+        """New state and input, with zeros for the noise."""
+        return self.actuator.apply(s, command, x, jnp.zeros(self.actuator.channels), self.h)
+
+
 def linear_loop(
     loop: Loop,
     scenario: Scenario,
@@ -83,7 +108,7 @@ def linear_loop(
     Parameters
     ----------
     loop : with sensors, and a controller that can be compiled
-    scenario : its flight; the noise of its sensors is left out, other disturbances act
+    scenario : its flight; the noise of sensors and actuator is left out, other disturbances act
     periods : k indices of control periods, each below `scenario.periods`
     errors : ``errors(output, estimate, reference) -> (p,)`` at one sample
     coordinates : ``coordinates(flight, memory, env) -> (z (n,), held (h,))`` of the plant's state `flight.x`, the
@@ -116,10 +141,10 @@ def linear_loop(
         controller=loop.controller,
         sensors=_Dealer(sensors=loop.sensors, samples=scenario.samples),
         navigator=loop.navigator,
-        actuator=loop.actuator,
+        actuator=_Quiet(actuator=loop.actuator, h=scenario.h) if actuator_channels(loop) else loop.actuator,
         delay=loop.delay,
     )
-    for block in (dealt.sensors, loop.controller):
+    for block in (dealt.sensors, dealt.actuator, loop.controller):
         blocks.register(block)
     with jax.enable_x64(True):
         starts = jax.tree.map(lambda a: a[at], _carries(dealt, scenario))
@@ -142,7 +167,7 @@ def linear_loop(
 def _period(loop: Loop, scn: Scenario, carry: Any, k: Any) -> Any:
     """One control period: the new (flight, memory), and its rows."""
     w, memory = carry
-    new, command = loop.controller.step(memory, w.estimate, reference_at(loop, scn, k))
+    new, command = loop.controller.step(memory, *seen(loop, scn, w.estimate, reference_at(loop, scn, k)))
     w = w._replace(culprit=jnp.zeros((), int), failed=jnp.zeros((), int))
     w, rows = advance(loop, scn, None, w, jnp.asarray(command, float), k)
     return (w._replace(culprit=None, failed=None), new), rows
@@ -150,8 +175,8 @@ def _period(loop: Loop, scn: Scenario, carry: Any, k: Any) -> Any:
 
 def _carries_of(loop: Loop, scn: Scenario) -> Any:
     """(flight, memory) at the beginning of every period."""
-    r = reference_at(loop, scn, 0)
-    shapes = jax.eval_shape(lambda: loop.controller.step(loop.controller.init(), r, r))
+    seen0 = seen(loop, scn, first_estimate(loop, scn), reference_at(loop, scn, 0))
+    shapes = jax.eval_shape(lambda: loop.controller.step(loop.controller.init(), *seen0))
     memory = jax.tree.map(lambda a, s: jnp.asarray(a, s.dtype), loop.controller.init(), shapes[0])
     w = launch(loop, scn, shapes[1].shape)
     w, _ = advance(loop, scn, None, w, jnp.zeros(shapes[1].shape), -1)  # the first measurement

@@ -38,7 +38,7 @@ from plants.simulation.loop import Plant as Plant
 from plants.simulation.loop import Run as Run
 from plants.simulation.loop import Scenario as Scenario
 from plants.simulation.loop import Sensors as Sensors
-from plants.simulation.loop import check, check_numbers, output_shape
+from plants.simulation.loop import check, check_numbers, output_shape, seen
 
 
 def simulate(loop: Loop, scenario: Scenario, *, compiled: bool | None = None, record: Record | None = None) -> Run:
@@ -129,7 +129,7 @@ def can_compile(loop: Loop, scenario: Scenario) -> bool:
     try:
         blocks.register(loop.controller)
         with jax.enable_x64(True):
-            commands.traced(loop.controller, output_shape(loop, scenario))
+            commands.traced(loop, scenario)
     except Exception:
         return False
     return True
@@ -188,26 +188,42 @@ def _step_through(
     leaves = jax.device_put(batch.leaves)
     w = _launch(leaves, batch.form, nu)
     controllers = [loop.controller for loop, _ in cases]
-    zero = np.zeros(w.estimate.shape[1:])
-    references = [zero if scn.reference is None else np.asarray(scn.reference, float) for _, scn in cases]
+    tell = _teller(cases)
     memory = [commands.begin(controller) for controller in controllers]
     issued, rows = np.zeros((len(cases), *nu)), []
     w, _ = _advance(leaves, batch.form, record, w, issued, np.int64(-1), on_compile=on_compile)
     advance_all = _advance.jitted
     for k in tqdm(range(scenario.periods), "periods", delay=2.0, disable=not progress, leave=False):
-        estimates, sound = np.asarray(w.estimate), np.asarray(w.culprit) == 0
+        sound = np.asarray(w.culprit) == 0
         if not sound.any():
             break
+        estimates, references = tell(np.asarray(w.estimate), k)
         for i, controller in enumerate(controllers):
             if sound[i]:
-                r = references[i] if references[i].ndim == 1 else references[i][k]
-                memory[i], issued[i] = commands.step(controller, memory[i], estimates[i], r, nu, k * scenario.dt)
+                told = estimates[i], references[i]
+                memory[i], issued[i] = commands.step(controller, memory[i], *told, nu, k * scenario.dt)
         w, row = advance_all(leaves, batch.form, record, w, issued, np.int64(k))
         if k % scenario.keep_every == 0:
             rows.append(jax.tree.map(lambda a: np.asarray(a[:, : scenario.rows]), row))
     if not rows:  # all failed before the first command
         rows = [jax.tree.map(np.asarray, _advance(leaves, batch.form, record, w, issued, np.int64(0))[1])]
     return w, memory, jax.tree.map(lambda *parts: np.stack(parts, axis=1), *rows)
+
+
+def _teller(cases: Sequence[tuple[Loop, Scenario]]) -> Callable[[np.ndarray, int], tuple[Any, Any]]:
+    """What turns the estimates of all lanes in period k into what `seen` says, estimates and references."""
+    loop, scenario = cases[0]
+    ny = output_shape(loop, scenario).shape[0]
+    tables = [np.zeros(ny) if scn.reference is None else np.asarray(scn.reference, float) for _, scn in cases]
+    differ = jax.jit(jax.vmap(lambda y, r: seen(loop, scenario, y, r)))
+
+    def tell(estimates: np.ndarray, k: int) -> tuple[Any, Any]:
+        r = np.stack([table if table.ndim == 1 else table[k] for table in tables])
+        if scenario.reference is None:
+            return estimates, r
+        return tuple(map(np.asarray, differ(estimates, r)))
+
+    return tell
 
 
 def _run(scn: Scenario, end: Flight, rows: Row, lane: int, memory: Any, compiled: bool) -> Run:
