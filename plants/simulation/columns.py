@@ -105,5 +105,9 @@ def _cast(table: pa.Table, name: str, kind: pa.DataType) -> pa.Table:
     place = table.schema.get_field_index(name)
     if place < 0:
         return table
-    field = table.schema.field(place).with_type(kind)
-    return table.set_column(place, field, table.column(place).cast(kind, safe=False))
+    values, field = table.column(place), table.schema.field(place).with_type(kind)
+    size = kind.list_size if pa.types.is_fixed_size_list(kind) else None
+    if pa.types.is_boolean(values.type if size is None else values.type.value_type):
+        ones = pa.uint8() if size is None else pa.list_(pa.uint8(), size)
+        values = values.cast(ones)  # because Arrow casts no truth value to a half float
+    return table.set_column(place, field, values.cast(kind, safe=False))

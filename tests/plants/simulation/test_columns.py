@@ -2,6 +2,7 @@
 
 import copy
 import functools
+import itertools
 import json
 import subprocess
 
@@ -88,7 +89,16 @@ def test_what_is_neither_number_nor_text_is_refused_by_name(values):
 @settings(deadline=None, max_examples=50)
 @given(st.data(), st.sampled_from(KINDS[:-2]), st.sampled_from(KINDS[:-2]), st.sampled_from([(), (2,), (2, 0), (2, 3)]))
 def test_chunks_of_other_types_are_what_numpy_makes_of_them(data, one, other, shape):
-    a, b = data.draw(hnp.arrays(one, (2, *shape))), data.draw(hnp.arrays(other, (3, *shape)))
+    chunks_fit(data.draw(hnp.arrays(one, (2, *shape))), data.draw(hnp.arrays(other, (3, *shape))))
+
+
+@pytest.mark.parametrize("shape", [(), (2,), (2, 0)])
+def test_chunks_of_any_two_types_of_numbers_fit(shape):
+    for one, other in itertools.permutations(KINDS[:-2], 2):
+        chunks_fit(np.ones((2, *shape), one), np.zeros((3, *shape), other))
+
+
+def chunks_fit(a, b):
     tables = []
     for values in (a, b):
         field, made = column("x", values)
