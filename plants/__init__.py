@@ -5,11 +5,9 @@
     dynamics       `RigidBody`, `EulerBody`, `Station` (relative motion)
     hardware       `ReactionWheels`, `Thrusters`, `SunSensor`, `Magnetometer`, `Gyro`, ...
     estimation     `ekf`, `svd_navigator`, `kalman`, `station_ekf`
+    guidance       commanded frames (`Nadir`, `Pointing`, `Profile`), `Schedule` and `Guided`, `mode` and `sequence`
     simulation     `Loop` and `Scenario` go into `simulate`, `simulate_many`, `campaign`, `worst_flights`, `linearize`;
                    a `Run` comes out; `Store` reads what a campaign has stored, `sweep` goes through designs
-    outcome        `indices`, `settling_time`, `run_plot`, `campaign_plot`; `report` and `study` make pages
-    simulation     `Loop` and `Scenario` go into `simulate`, `simulate_many`, `campaign`, `linearize`; a `Run` comes
-                   out; `Store` reads what a campaign has stored, `sweep` goes through designs
     outcome        `indices`, `budget`, `settling_time`, `run_plot`, `campaign_plot`; `report` and `study` make pages
     missions       `cubesat3u`, `amazonia1`, `airbearing`, `geo`: the numbers of the studies
 
@@ -52,6 +50,30 @@ if TYPE_CHECKING:
     from plants.estimation.tracking import observability as observability
     from plants.estimation.tracking import station_ekf as station_ekf
     from plants.geometry import attitude as attitude
+    from plants.guidance.conditions import After as After
+    from plants.guidance.conditions import Pointed as Pointed
+    from plants.guidance.conditions import Slow as Slow
+    from plants.guidance.directions import Fixed as Fixed
+    from plants.guidance.directions import Forward as Forward
+    from plants.guidance.directions import OrbitNormal as OrbitNormal
+    from plants.guidance.directions import ToEarth as ToEarth
+    from plants.guidance.directions import ToSun as ToSun
+    from plants.guidance.directions import ToTarget as ToTarget
+    from plants.guidance.frames import Inertial as Inertial
+    from plants.guidance.frames import Nadir as Nadir
+    from plants.guidance.frames import Offset as Offset
+    from plants.guidance.frames import Pointing as Pointing
+    from plants.guidance.frames import Profile as Profile
+    from plants.guidance.guided import Guided as Guided
+    from plants.guidance.guided import Schedule as Schedule
+    from plants.guidance.laws import AttitudeControl as AttitudeControl
+    from plants.guidance.laws import Detumbling as Detumbling
+    from plants.guidance.modes import Known as Known
+    from plants.guidance.modes import Mode as Mode
+    from plants.guidance.modes import mode as mode
+    from plants.guidance.sequences import Sequence as Sequence
+    from plants.guidance.sequences import commanded_record as commanded_record
+    from plants.guidance.sequences import sequence as sequence
     from plants.hardware.actuators import ReactionWheels as ReactionWheels
     from plants.hardware.sensors import AngleRate as AngleRate
     from plants.hardware.sensors import AngleRateSuite as AngleRateSuite
@@ -140,9 +162,11 @@ if TYPE_CHECKING:
 
 _HOME = {  # of a name; modules are their own home
     "Actuator": "simulation.loop",
+    "After": "guidance.conditions",
     "AngleRate": "hardware.sensors",
     "AngleRateSuite": "hardware.sensors",
     "Atmosphere": "surroundings.environment",
+    "AttitudeControl": "guidance.laws",
     "AttitudeSuite": "hardware.sensors",
     "BodyState": "dynamics.rigidbody",
     "Budget": "outcome.budgets",
@@ -152,6 +176,7 @@ _HOME = {  # of a name; modules are their own home
     "Claim": "outcome.report",
     "ConstantTorque": "surroundings.disturbances",
     "Controller": "simulation.loop",
+    "Detumbling": "guidance.laws",
     "Disturbance": "surroundings.disturbances",
     "Drag": "surroundings.disturbances",
     "Ekf": "estimation.navigation",
@@ -160,22 +185,34 @@ _HOME = {  # of a name; modules are their own home
     "Errors": "outcome.indices",
     "EulerBody": "dynamics.eulerbody",
     "EulerState": "dynamics.eulerbody",
+    "Fixed": "guidance.directions",
+    "Forward": "guidance.directions",
     "FreeSpace": "surroundings.environment",
     "GravityGradient": "surroundings.disturbances",
+    "Guided": "guidance.guided",
     "Gyro": "hardware.sensors",
     "Indices": "outcome.indices",
+    "Inertial": "guidance.frames",
     "Kalman": "estimation.kalman",
+    "Known": "guidance.modes",
     "Levels": "outcome.budgets",
     "LinearModel": "simulation.linearize",
     "Loop": "simulation.loop",
     "LoopModel": "simulation.loopmodel",
     "Magnetometer": "hardware.sensors",
+    "Mode": "guidance.modes",
+    "Nadir": "guidance.frames",
     "Navigator": "simulation.loop",
     "Observability": "estimation.tracking",
+    "Offset": "guidance.frames",
     "Orbit": "surroundings.orbit",
     "OrbitEnv": "surroundings.environment",
+    "OrbitNormal": "guidance.directions",
     "Plant": "simulation.loop",
     "PlantError": "errors",
+    "Pointed": "guidance.conditions",
+    "Pointing": "guidance.frames",
+    "Profile": "guidance.frames",
     "PulsedThrusters": "hardware.thrusters",
     "RandomTorque": "dynamics.eulerbody",
     "RawAngles": "estimation.kalman",
@@ -186,10 +223,13 @@ _HOME = {  # of a name; modules are their own home
     "Run": "simulation.loop",
     "Scenario": "simulation.loop",
     "ScenarioError": "errors",
+    "Schedule": "guidance.guided",
     "Section": "outcome.report",
     "Sensors": "simulation.loop",
+    "Sequence": "guidance.sequences",
     "SingularityError": "errors",
     "Sky": "dynamics.relative",
+    "Slow": "guidance.conditions",
     "Smoothing": "estimation.navigation",
     "SolarPressure": "surroundings.disturbances",
     "Spread": "outcome.budgets",
@@ -205,11 +245,14 @@ _HOME = {  # of a name; modules are their own home
     "Sweep": "simulation.sweep",
     "Table": "outcome.study",
     "Thrusters": "hardware.thrusters",
+    "ToEarth": "guidance.directions",
+    "ToSun": "guidance.directions",
+    "ToTarget": "guidance.directions",
     "TorqueEnv": "dynamics.eulerbody",
     "Unfiltered": "estimation.tracking",
     "Verdict": "outcome.study",
-    "WorstFlights": "simulation.worstflights",
     "WorstBudget": "outcome.worstbudget",
+    "WorstFlights": "simulation.worstflights",
     "airbearing": "missions.airbearing",
     "amazonia1": "missions.amazonia1",
     "attitude": "geometry.attitude",
@@ -222,6 +265,7 @@ _HOME = {  # of a name; modules are their own home
     "can_compile": "simulation.simulate",
     "circular": "surroundings.orbit",
     "clopper_pearson": "outcome.indices",
+    "commanded_record": "guidance.sequences",
     "cubesat3u": "missions.cubesat3u",
     "draw": "simulation.campaign",
     "drawings": "outcome.study",
@@ -233,14 +277,16 @@ _HOME = {  # of a name; modules are their own home
     "kalman": "estimation.kalman",
     "linear_loop": "simulation.loopmodel",
     "linearize": "simulation.linearize",
+    "mode": "guidance.modes",
     "observability": "estimation.tracking",
     "pointing_errors": "outcome.indices",
-    "replay": "simulation.campaign",
     "pooled_level": "outcome.indices",
+    "replay": "simulation.campaign",
     "replay_case": "simulation.campaign",
     "report": "outcome.report",
     "run_plot": "outcome.plots",
     "sampled_loop": "outcome.budgets",
+    "sequence": "guidance.sequences",
     "settling_time": "outcome.indices",
     "simulate": "simulation.simulate",
     "simulate_many": "simulation.simulate",
@@ -251,9 +297,9 @@ _HOME = {  # of a name; modules are their own home
     "study": "outcome.study",
     "svd_navigator": "estimation.navigation",
     "sweep": "simulation.sweep",
-    "worst_flights": "simulation.worstflights",
     "windows": "outcome.indices",
     "worst_budget": "outcome.worstbudget",
+    "worst_flights": "simulation.worstflights",
 }
 
 __all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
