@@ -92,6 +92,17 @@ class RigidBody:
             inverse = np.linalg.inv(rest)
         return cls(inertia=I, inverse=inverse, wheel_axes=G, wheel_inertia=Js, disturbances=tuple(disturbances))
 
+    def check(self, x: BodyState) -> None:
+        """Raise `ScenarioError` for a state that this body cannot have: other numbers of wheels, no unit quaternion."""
+        for name, n in (("q", 4), ("w", 3), ("wheels", np.shape(self.wheel_inertia)[0])):
+            shape = np.shape(getattr(x, name))
+            if shape != (n,):
+                wheels = f": the body has {n} wheels" if name == "wheels" else ""
+                raise ScenarioError(f"initial.{name} has shape {shape}; give ({n},){wheels}")
+        length = float(np.linalg.norm(x.q))
+        if abs(length - 1) > 1e-6:
+            raise ScenarioError(f"initial.q has length {length:.7g}: divide it by its length, an attitude has length 1")
+
     def derivative(self, x: BodyState, u: ArrayLike, env: OrbitEnv) -> BodyState:
         """Time derivative of the state.
 

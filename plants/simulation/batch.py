@@ -15,7 +15,8 @@ import numpy as np
 
 from plants.errors import ScenarioError
 from plants.simulation import blocks, simulate
-from plants.simulation.loop import Loop, Run, Scenario, check_numbers
+from plants.simulation.fits import check_numbers
+from plants.simulation.loop import Loop, Run, Scenario
 
 LANE = 8  # doubles in the widest vector unit
 NEAR = 128  # runs

@@ -4,21 +4,17 @@ The controller is the one block that is written elsewhere, by anybody. A number 
 (`Run.culprit`); what is not even a vector of real numbers is a mistake in the program, and raises `ScenarioError`.
 """
 
-import dataclasses
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from plants.errors import PlantError, ScenarioError
+from plants.simulation.fits import check_flow, told
 from plants.simulation.loop import (
     Controller,
     Loop,
     Scenario,
-    act,
-    actuator_channels,
-    env_at,
     first_estimate,
     reference_at,
     seen,
@@ -38,7 +34,7 @@ def begin(controller: Controller) -> Any:
     except PlantError:
         raise
     except Exception as error:
-        raise ScenarioError(f"{_name(controller)}.init raised {_told(error)}") from error
+        raise ScenarioError(f"{_name(controller)}.init raised {told(error)}") from error
 
 
 def step(controller: Controller, memory: Any, y: np.ndarray, r: np.ndarray, nu: tuple[int, ...], t: float) -> Any:
@@ -54,7 +50,7 @@ def step(controller: Controller, memory: Any, y: np.ndarray, r: np.ndarray, nu: 
     except PlantError:
         raise
     except Exception as error:
-        raise ScenarioError(f"{_name(controller)}.step raised {_told(error)} at t = {t:.9g} s") from error
+        raise ScenarioError(f"{_name(controller)}.step raised {told(error)} at t = {t:.9g} s") from error
     new, command = _pair(controller, result)
     return new, _vector(controller, command, nu, f"at t = {t:.9g} s")
 
@@ -96,32 +92,13 @@ def shape(loop: Loop, scn: Scenario, compiled: bool) -> tuple[int, ...]:
             raise
         except Exception as error:
             raise ScenarioError(
-                f"{_name(loop.controller)} cannot be compiled: {_told(error)}; pass compiled=False to step it"
+                f"{_name(loop.controller)} cannot be compiled: {told(error)}; pass compiled=False to step it"
             ) from error
     else:
         y, r = map(np.asarray, seen(loop, scn, first_estimate(loop, scn), reference_at(loop, scn, 0)))
         nu = np.shape(step(loop.controller, begin(loop.controller), y, r, (), 0.0)[1])
-    _taken(dataclasses.replace(loop, controller=None), scn, nu)  # pyright: ignore[reportArgumentType]
+    check_flow(loop, scn, nu)
     return nu
-
-
-def _taken(loop: Loop, scn: Scenario, nu: tuple[int, ...]) -> None:
-    """Raise `ScenarioError` if actuator and plant do not take a command of that shape."""
-
-    def put(loop: Loop, scn: Scenario) -> Any:
-        s = None if loop.actuator is None else loop.actuator.init()
-        return act(loop, s, jnp.zeros(nu), scn.initial, jnp.zeros(actuator_channels(loop)), scn.h)[1]
-
-    def move(loop: Loop, scn: Scenario) -> Any:
-        return loop.plant.derivative(jax.tree.map(jnp.asarray, scn.initial), put(loop, scn), env_at(scn, 0.0))
-
-    for taker, tried in ((loop.actuator, put), (loop.plant, move)):
-        try:
-            jax.eval_shape(tried, loop, scn)
-        except PlantError:
-            raise
-        except (TypeError, ValueError, IndexError) as error:  # what wrong shapes raise; other mistakes are its own
-            raise ScenarioError(f"{_name(taker)} does not take a command of shape {nu}: {_told(error)}") from error
 
 
 def _pair(controller: Controller, result: Any) -> tuple[Any, Any]:
@@ -136,7 +113,7 @@ def _vector(controller: Controller, command: Any, nu: tuple[int, ...], when: str
     try:
         u = np.asarray(command)
     except Exception as error:
-        raise ScenarioError(f"{_name(controller)} commands no array {when}: {_told(error)}") from error
+        raise ScenarioError(f"{_name(controller)} commands no array {when}: {told(error)}") from error
     if np.ma.is_masked(command) or u.dtype.kind not in "fiub" or u.ndim != 1 or (nu and u.shape != nu):
         shown = " ".join(repr(command).split())
         shown = shown if len(shown) <= 60 else shown[:57] + "..."
@@ -147,9 +124,3 @@ def _vector(controller: Controller, command: Any, nu: tuple[int, ...], when: str
 
 def _name(block: Any) -> str:
     return type(block).__name__
-
-
-def _told(error: Exception) -> str:
-    """An error in one line."""
-    text = str(error).partition("\n")[0]
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__

@@ -4,7 +4,6 @@ Blocks are frozen dataclasses of numbers; what flows through them is NamedTuples
 elsewhere fits without knowing this package, because protocols are structural.
 """
 
-import dataclasses
 import os
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -14,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from plants.errors import PlantError, ScenarioError
 from plants.simulation import blocks
 
 try:
@@ -115,7 +113,11 @@ class Environment(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Loop:
-    """A closed loop. Without a navigator the controller sees the true output, without an actuator u = command."""
+    """A closed loop. Without sensors and navigator the controller sees the true output.
+
+    Without an actuator u is the command. For `controller` an object that gives one is taken too, such as a
+    `synth.Design`, by its method `as_controller`.
+    """
 
     plant: Plant
     controller: Controller
@@ -123,6 +125,12 @@ class Loop:
     navigator: Navigator | None = None
     actuator: Actuator | None = None
     delay: int = 0  # control periods between a command and its action
+
+    def __post_init__(self) -> None:
+        """Ask what gives a controller for it."""
+        give = None if hasattr(self.controller, "step") else getattr(self.controller, "as_controller", None)
+        if callable(give):
+            object.__setattr__(self, "controller", give())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,6 +148,15 @@ class Scenario:
     seed: int = 0  # of the noise, shared by the runs of a campaign
     run: int = 0  # index of the run: with the seed, the name of its noise
     bound: float = 1e9  # () any unit; a state, estimate or command beyond it has diverged
+
+    def __post_init__(self) -> None:
+        """Take lists of numbers in the state as arrays."""
+        x = self.initial
+        lists = {
+            n: np.array(v) for n in getattr(x, "_fields", ()) if isinstance(v := getattr(x, n), list) and _plain(v)
+        }
+        if lists:
+            object.__setattr__(self, "initial", x._replace(**lists))
 
     @property
     def h(self) -> float:
@@ -184,53 +201,9 @@ class Run:
     memory: Any = None  # the controller's state at the end: its counters, for example
 
 
-def check(loop: Loop, scenario: Scenario) -> None:
-    """Raise `ScenarioError` naming the first unusable number of a case, and register its blocks with JAX."""
-    for name in ("periods", "samples", "steps", "keep_every"):
-        count = getattr(scenario, name)
-        if not isinstance(count, int) or isinstance(count, bool) or count < 1:
-            raise ScenarioError(f"{name} = {count!r}: give a whole number of at least 1")
-    if scenario.periods % scenario.keep_every:
-        raise ScenarioError(f"keep_every = {scenario.keep_every} does not divide periods = {scenario.periods}")
-    for name in ("dt", "bound"):
-        value = getattr(scenario, name)
-        real = np.ndim(value) == 0 and np.asarray(value).dtype.kind in "fiu"
-        if not (real and np.isfinite(value) and value > 0):
-            raise ScenarioError(f"{name} = {value!r}: give a positive finite number")
-    if not isinstance(loop.delay, int) or loop.delay < 0:
-        raise ScenarioError(f"delay = {loop.delay!r}: give a whole number of control periods, at least 0")
-    if not np.isclose(float(loop.controller.dt), scenario.dt, rtol=1e-9, atol=0):
-        raise ScenarioError(
-            f"controller.dt = {loop.controller.dt} differs from scenario.dt = {scenario.dt}: design the "
-            "controller for the period at which it is called"
-        )
-    if loop.navigator is not None and loop.sensors is None:
-        raise ScenarioError("sensors = None: a navigator needs sensors; give both or neither")
-    check_numbers(loop, scenario)
-    _check_size(scenario)
-    with jax.enable_x64(True):
-        _check_shapes(loop, scenario)
-
-
-def check_numbers(loop: Loop, scenario: Scenario) -> None:
-    """The part of `check` that may differ between cases of the same structure."""
-    known = dataclasses.replace(loop, controller=None)  # the controller is opaque: it may hold anything
-    blocks.register(known)
-    blocks.register(scenario)
-    blocks.check_numbers(known, "loop")
-    blocks.check_numbers(scenario, "scenario")
-    blocks.check_numbers(scenario.initial, "scenario.initial", finite=True)
-
-
-def _check_size(scn: Scenario) -> None:
-    """Raise `ScenarioError` if the rows of one run, or what one period takes, are more than this machine can hold."""
-    state = sum(np.size(leaf) for leaf in jax.tree.leaves(scn.initial))
-    rows = scn.periods // scn.keep_every * scn.rows * state
-    if 8 * max(rows, scn.samples * (2 * scn.steps + 1)) > MEMORY:
-        raise ScenarioError(
-            f"periods = {scn.periods}, samples = {scn.samples}, steps = {scn.steps}, keep_every = {scn.keep_every} "
-            f"take more than the {MEMORY / 2**30:.3g} GiB of this machine: fly less, or raise keep_every"
-        )
+def _plain(values: Any) -> bool:
+    """Whether this is a list of numbers."""
+    return isinstance(values, list) and all(isinstance(value, int | float) for value in values)
 
 
 def env_at(scn: Scenario, t: Any) -> Any:
@@ -283,23 +256,3 @@ def seen(loop: Loop, scn: Scenario, estimate: Any, r: Any) -> tuple[Any, Any]:
         return estimate, r
     ny = r.shape[0]
     return jnp.concatenate([error(estimate[:ny], r), estimate[ny:]]), jnp.zeros(ny)
-
-
-def _check_shapes(loop: Loop, scn: Scenario) -> None:
-    """Raise `ScenarioError` if reference or output do not fit."""
-    try:
-        shape = output_shape(loop, scn).shape
-    except PlantError:
-        raise
-    except Exception as error:
-        raise ScenarioError(
-            f"scenario.initial or scenario.environment does not fit the plant: {type(loop.plant).__name__}.output "
-            f"raised {type(error).__name__}: {error}"
-        ) from error
-    if len(shape) != 1:
-        raise ScenarioError(f"plant.output has shape {shape}: return a vector")
-    if scn.reference is not None and np.shape(scn.reference) not in (shape, (scn.periods, *shape)):
-        raise ScenarioError(
-            f"reference has shape {np.shape(scn.reference)}: give {shape} or {(scn.periods, *shape)}, "
-            "as many columns as the plant has outputs"
-        )

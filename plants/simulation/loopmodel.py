@@ -20,12 +20,12 @@ from jax.flatten_util import ravel_pytree
 
 from plants.errors import ScenarioError
 from plants.simulation import blocks, programs
+from plants.simulation.fits import check
 from plants.simulation.flight import Flight, advance, launch
 from plants.simulation.loop import (
     Loop,
     Scenario,
     actuator_channels,
-    check,
     env_at,
     first_estimate,
     reference_at,

@@ -22,8 +22,9 @@ from plants.errors import ScenarioError
 from plants.simulation import blocks, programs, simulate
 from plants.simulation.batch import Case
 from plants.simulation.campaign import count
+from plants.simulation.fits import check, check_numbers
 from plants.simulation.flight import fly
-from plants.simulation.loop import Loop, Run, Scenario, check, check_numbers
+from plants.simulation.loop import Loop, Run, Scenario
 
 Objective = Callable[[Run], Any]
 

@@ -24,6 +24,7 @@ from tqdm import tqdm
 
 from plants.errors import ScenarioError
 from plants.simulation import blocks, commands, programs
+from plants.simulation.fits import check, check_numbers
 from plants.simulation.flight import CULPRITS as CULPRITS
 from plants.simulation.flight import Flight, Row, advance, fly_each, launch
 from plants.simulation.flight import Record as Record
@@ -38,7 +39,7 @@ from plants.simulation.loop import Plant as Plant
 from plants.simulation.loop import Run as Run
 from plants.simulation.loop import Scenario as Scenario
 from plants.simulation.loop import Sensors as Sensors
-from plants.simulation.loop import check, check_numbers, output_shape, seen
+from plants.simulation.loop import output_shape, seen
 
 
 def simulate(loop: Loop, scenario: Scenario, *, compiled: bool | None = None, record: Record | None = None) -> Run:

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     import control
 
     from synth.proof.certify import Certificate
+    from synth.regulators.controller import LinearController
 
 FORMAT = "convex-synth design"
 FORMAT_VERSION = 3
@@ -189,6 +190,28 @@ class Design:
 
             return write_atomically(path, mat_bytes(self))
         raise ModelError(f"path ends with {path.suffix!r}; a design is saved as .json or .mat")
+
+    def as_controller(self) -> LinearController:
+        """What a simulated loop steps, u = K (r - y) of the plant's output y: the design as it closes the loop.
+
+        A loop-shaping design has u = K y, so its controller is negated; one whose measurements are named as errors, by
+        `GeneralizedPlant.tracking` or `mixsyn`, is taken as it is.
+
+        Raises
+        ------
+        ModelError : a continuous controller; another design, which does not say whether it measures an error.
+        """
+        from synth.regulators.controller import LinearController
+
+        if self.shaping is not None:
+            K = self.controller
+            return LinearController.of(StateSpace(K.A, K.B, -K.C, -K.D, K.dt))
+        if not all(name.startswith("error") for name in self.plant.y):
+            raise ModelError(
+                f"the design measures {', '.join(self.plant.y)}, and whether that is r - y or y only you know: give the "
+                "loop LinearController.of(K), which steps u = K (r - y), with the sign that closes it"
+            )
+        return LinearController.of(self.controller)
 
     def certify(self, *, lower: float | None = None, upper: float | None = None) -> Certificate:
         """Prove both bounds of the norm in ball arithmetic; see `synth.proof.certify.certify`."""
