@@ -157,7 +157,8 @@ def launch(loop: Loop, scn: Scenario, nu: tuple[int, ...]) -> Flight:
         culprit=jnp.zeros((), int),
         failed=jnp.zeros((), int),
     )
-    return jax.tree.map(jnp.asarray, w)
+    whole = jax.tree.map(jnp.asarray, w)
+    return whole._replace(x=jax.tree.map(lambda a: a.astype(float) if a.dtype.kind in "iu" else a, whole.x))
 
 
 def _surroundings(scn: Scenario, k: Any) -> Any:

@@ -253,6 +253,8 @@ def julian(epoch: datetime, times: np.ndarray) -> tuple[np.ndarray, ...]:
 
 def _utc(epoch: datetime, duration: float) -> datetime:
     """The epoch in UTC without time zone; ScenarioError if it, or the end of the run, is out of range."""
+    if not isinstance(epoch, datetime):
+        raise ScenarioError(f"epoch = {epoch!r}: give a datetime in UTC, such as datetime(2026, 3, 20, 12)")
     utc = epoch.astimezone(UTC).replace(tzinfo=None) if epoch.tzinfo else epoch
     if not EARLIEST <= utc <= LATEST - timedelta(seconds=duration):
         raise ScenarioError(

@@ -208,8 +208,8 @@ class Design:
             return LinearController.of(StateSpace(K.A, K.B, -K.C, -K.D, K.dt))
         if not all(name.startswith("error") for name in self.plant.y):
             raise ModelError(
-                f"the design measures {', '.join(self.plant.y)}, and whether that is r - y or y only you know: give the "
-                "loop LinearController.of(K), which steps u = K (r - y), with the sign that closes it"
+                f"the design measures {', '.join(self.plant.y)}, and whether that is r - y or y only you know: give "
+                "the loop LinearController.of(K), which steps u = K (r - y), with the sign that closes it"
             )
         return LinearController.of(self.controller)
 
