@@ -23,7 +23,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from synth.analysis.coprime import balanced, gang_of_four, left_factors, right_factors, solutions
-from synth.analysis.norms import balance, hinfnorm, spectral_radius
+from synth.analysis.norms import hinfnorm, in_principal_axes, spectral_radius
 from synth.analysis.precondition import check_assumptions
 from synth.equations.doubling import is_positive, solve_riccati
 from synth.errors import ModelError
@@ -64,11 +64,12 @@ def gapmetric(G1: Any, G2: Any) -> Gap:
 
     References: Vinnicombe (1993), IEEE TAC 38, 1371; Georgiou and Smith (1990), IEEE TAC 35, 673.
     """
-    G1, G2 = map(balance, as_systems(G1=G1, G2=G2))
+    G1, G2 = as_systems(G1=G1, G2=G2)
     if (G1.ny, G1.nu) != (G2.ny, G2.nu):
         raise ModelError(f"G1 is {G1.ny} x {G1.nu}, G2 is {G2.ny} x {G2.nu}; a gap needs plants of the same size")
     for G in (G1, G2):
         check_assumptions(gang_of_four(G))
+    G1, G2 = in_principal_axes(G1), in_principal_axes(G2)
     H1, H2 = (balanced(H, solutions(H)) for H in on_circle(loop_rate(G1, G2), G1, G2))
     R1, R2 = right_factors(H1), right_factors(H2)
     if not _homotopic(R1, R2):

@@ -28,9 +28,9 @@ from synth.analysis.truncation import balanced_truncation, gramian_factor, round
 from synth.checks import as_number
 from synth.equations.doubling import bounded_real
 from synth.errors import NumericalError, VerificationError
+from synth.systems import realization
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.modes import crosses
-from synth.systems.realization import balanced
 from synth.systems.sampled import cayley, pole_rate
 from synth.systems.statespace import StateSpace, as_system
 from synth.threads import one_thread
@@ -65,7 +65,12 @@ def is_stable(G: StateSpace) -> bool:
 
 def balance(G: StateSpace) -> StateSpace:
     """The same system with states scaled by powers of two so that its rows and columns have like norms."""
-    return StateSpace(*balanced(G.matrices), G.dt)
+    return StateSpace(*realization.balanced(G.matrices), G.dt)
+
+
+def in_principal_axes(G: StateSpace) -> StateSpace:
+    """The same system, turned as well as scaled where its coordinates are bad: see `realization.in_principal_axes`."""
+    return StateSpace(*realization.in_principal_axes(G.matrices), G.dt)
 
 
 def h2norm(system: Any) -> float:

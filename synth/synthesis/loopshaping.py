@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from synth.analysis.coprime import Solutions, balanced, gang_of_four, solutions
-from synth.analysis.norms import balance, judge
+from synth.analysis.norms import in_principal_axes, judge
 from synth.analysis.precondition import check_assumptions
 from synth.checks import as_choice, as_number, numerical
 from synth.equations.doubling import FINAL_RESIDUAL
@@ -84,7 +84,7 @@ def ncfsyn(
     Returns
     -------
     Design : `controller` is W1 Ks W2, `shaping` holds W1, W2 and Ks; `plant` is the four-block problem
-        [I; Ks] (I - Gs Ks)^-1 [I, Gs] that Ks closes, Gs with balanced states; `info.level` is the level asked
+        [I; Ks] (I - Gs Ks)^-1 [I, Gs] that Ks closes, Gs in balanced coordinates; `info.level` is the level asked
         for, `gamma` <= level what was measured, `info.optimum` the optimal level. 1 / gamma is the guaranteed margin
         of `ncfmargin`.
 
@@ -148,7 +148,7 @@ def ncfsyn(
 
 
 def shaped(G: StateSpace, W1: Any, W2: Any) -> tuple[StateSpace, StateSpace, StateSpace]:
-    """W1, the shaped plant W2 G W1 with balanced states, and W2."""
+    """W1, the shaped plant W2 G W1 in balanced coordinates (turned too, where that halves it), and W2."""
     weights = []
     for name, W, size, side in (("W1", W1, G.nu, "outputs"), ("W2", W2, G.ny, "inputs")):
         W = repeated(as_system(name, np.eye(size) if W is None else W, G.dt), size)
@@ -157,7 +157,7 @@ def shaped(G: StateSpace, W1: Any, W2: Any) -> tuple[StateSpace, StateSpace, Sta
         common_timebase(G, W, ("the plant", name))
         weights.append(W)
     W1, W2 = weights
-    return W1, balance(series(series(W1, G), W2)), W2
+    return W1, in_principal_axes(series(series(W1, G), W2)), W2
 
 
 def optimal(G: StateSpace, riccati: Solutions, method: str) -> Optimum:

@@ -27,6 +27,8 @@ POINTS = 60  # frequencies of the comparison
 AT_ORIGIN = 1e-12  # relative size below which a pole is an integrator, for the gain at rest
 DECADES = 2.0  # of the grid beyond the slowest and the fastest root
 SINGULAR = 1e14  # condition of a singular matrix
+FLOOR = 1e-8  # relative, of what counts in the choice of axes
+HALF = 0.5  # of its size: a turn that does not leave less is not worth its rounding
 
 
 class Matrices(NamedTuple):
@@ -170,7 +172,7 @@ def state_scales(G: Matrices) -> np.ndarray:
     n = len(A)
     if n == 0:
         return np.ones(0)
-    rate = np.abs(np.linalg.eigvals(A)).max() or 1.0
+    rate = _fastest(A)
     M = np.zeros((n + 1, n + 1))
     M[:-1, :-1] = np.abs(A)
     with np.errstate(all="ignore"):
@@ -182,6 +184,48 @@ def state_scales(G: Matrices) -> np.ndarray:
         t = scale[:-1] / scale[-1]
     # numbers beyond the range of balancing stay as they are
     return t if np.isfinite(t).all() and t.all() else np.ones(n)
+
+
+def in_principal_axes(G: Matrices) -> Matrices:
+    """The same system in good coordinates, whatever those given: turned and balanced in turns while that halves it.
+
+    Powers of two do not see through a turn. Its axes are those of the state transform that would make M = A A' + B B'
+    and N = A'A + C'C equal and diagonal, the geometric mean of M and N^-1; what rounding takes is that of a turn.
+
+    Reference: Bhatia (2007), Positive Definite Matrices, chapter 4 (geometric mean).
+    """
+    G = balanced(G)
+    if not len(G.A):
+        return G
+    rate = _fastest(G.A)
+    with np.errstate(all="ignore"):
+        while 0 < _size(G, rate) < np.inf:
+            Q = _principal_axes(G, rate)
+            turned = balanced(Matrices(Q.T @ G.A @ Q, Q.T @ G.B, G.C @ Q, G.D))
+            if not _size(turned, rate) < HALF * _size(G, rate):
+                break
+            G = turned
+    return G
+
+
+def _principal_axes(G: Matrices, rate: float) -> np.ndarray:
+    """Orthogonal (n, n), from factors of M and N; what hardly counts in either is taken for a little."""
+    root = np.sqrt(rate)
+    U, s, _ = np.linalg.svd(np.hstack([G.A, root * G.B]), full_matrices=False)
+    V, t, _ = np.linalg.svd(np.hstack([G.A.T, root * G.C.T]), full_matrices=False)
+    U, V = (axes * np.maximum(size / (size[0] or 1.0), FLOOR) for axes, size in ((U, s), (V, t)))
+    _, mean, Wt = np.linalg.svd(V.T @ U)
+    return np.linalg.svd(U @ Wt.T / np.sqrt(mean))[0]
+
+
+def _size(G: Matrices, rate: float) -> float:
+    """Norm of A, B and C in units of rate and of a signal, which goes with the unit of time."""
+    return float(np.sqrt(np.linalg.norm(G.A) ** 2 + rate * (np.linalg.norm(G.B) ** 2 + np.linalg.norm(G.C) ** 2)))
+
+
+def _fastest(A: np.ndarray) -> float:
+    """The largest modulus of an eigenvalue, one where all are zero."""
+    return float(np.abs(np.linalg.eigvals(A)).max()) or 1.0
 
 
 def minimal(G: Matrices, rank: float) -> Matrices:

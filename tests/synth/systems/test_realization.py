@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from synth import ModelError, hinfnorm, system
+from synth.systems.realization import Matrices, in_principal_axes
 
 
 def exact(num, den, s):
@@ -61,6 +62,38 @@ def test_coordinates_are_balanced_whatever_the_time_unit():
         G = system([rate**2], [1.0, 0.4 * rate, rate**2])
         assert np.abs(G.A).max() < 10 * rate
         assert hinfnorm(G)[0] == pytest.approx(1 / (0.4 * np.sqrt(1 - 0.04)), rel=1e-9)
+
+
+def size(G):
+    """Of A, B and C in units of the fastest pole, which is 2 to 3 in what is drawn below."""
+    return np.sqrt(sum(np.linalg.norm(M) ** 2 for M in G[:3]))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 6), st.floats(0, 4))
+def test_turns_do_not_hide_bad_coordinates(seed, n, decades):
+    """A stable lag of every state, scaled and turned: as small again as before, the response kept."""
+    rng = np.random.default_rng(seed)
+    A, B, C = rng.normal(size=(n, n)) / np.sqrt(n) - 2 * np.eye(n), rng.normal(size=(n, 2)), rng.normal(size=(2, n))
+    d, Q = 10 ** rng.uniform(-decades / 2, decades / 2, n), np.linalg.qr(rng.normal(size=(n, n)))[0]
+    D = np.eye(2)
+    moved = Matrices(Q.T @ (A * d / d[:, None]) @ Q, Q.T @ (B / d[:, None]), (C * d) @ Q, D)
+    found = in_principal_axes(moved)
+    assert size(found) <= 4 * size((A, B, C))
+    for s in (0, 1j, 10j):
+        np.testing.assert_allclose(found.at(s), Matrices(A, B, C, D).at(s), atol=1e-15 * 10 ** (2 * decades + 2))
+
+
+def test_good_coordinates_are_only_scaled():
+    G = system(np.diag([-1e-4, 1.0, -1e4]), np.diag([1e-2, 1.0, 1e2]), np.eye(3), np.zeros((3, 3)))
+    assert all(np.count_nonzero(M) == 3 for M in in_principal_axes(G.matrices)[:3])
+
+
+@pytest.mark.parametrize("entry", [0.0, 1e-300, 1e300])
+@pytest.mark.parametrize("n", [0, 1, 3])
+def test_coordinates_of_nothing_and_of_too_much(n, entry):
+    G = Matrices(np.full((n, n), entry), np.zeros((n, 1)), np.full((1, n), entry), np.zeros((1, 1)))
+    assert all(np.isfinite(M).all() for M in in_principal_axes(G))
 
 
 def test_zeros_and_poles_keep_digits_that_coefficients_lose():
