@@ -1,7 +1,8 @@
 """Nonlinear worlds, their sensors and estimators, and the one simulator that flies them.
 
     geometry       rotations: `attitude`
-    surroundings   `Orbit`, `CircularEnvironment` (field, Sun, eclipse, air), disturbance torques
+    surroundings   `Environment` (field, Sun, eclipse, air) along a `circular` or `keplerian` orbit under `Force`s,
+                   `ground_track`, `target_position`, disturbance torques
     dynamics       `RigidBody`, `EulerBody`, `Station` (relative motion)
     hardware       `ReactionWheels`, `Thrusters`, `SunSensor`, `Magnetometer`, `Gyro`, ...
     estimation     `ekf`, `svd_navigator`, `kalman`, `station_ekf`
@@ -146,19 +147,37 @@ if TYPE_CHECKING:
     from plants.simulation.sweep import sweep as sweep
     from plants.simulation.worstflights import WorstFlights as WorstFlights
     from plants.simulation.worstflights import worst_flights as worst_flights
+    from plants.surroundings.atmosphere import Air as Air
+    from plants.surroundings.atmosphere import Atmosphere as Atmosphere
+    from plants.surroundings.atmosphere import LayeredAtmosphere as LayeredAtmosphere
     from plants.surroundings.disturbances import ConstantTorque as ConstantTorque
     from plants.surroundings.disturbances import Disturbance as Disturbance
     from plants.surroundings.disturbances import Drag as Drag
     from plants.surroundings.disturbances import GravityGradient as GravityGradient
     from plants.surroundings.disturbances import ResidualDipole as ResidualDipole
     from plants.surroundings.disturbances import SolarPressure as SolarPressure
-    from plants.surroundings.environment import Atmosphere as Atmosphere
     from plants.surroundings.environment import CircularEnvironment as CircularEnvironment
     from plants.surroundings.environment import Environment as Environment
     from plants.surroundings.environment import FreeSpace as FreeSpace
     from plants.surroundings.environment import OrbitEnv as OrbitEnv
+    from plants.surroundings.forces import DragForce as DragForce
+    from plants.surroundings.forces import EarthShape as EarthShape
+    from plants.surroundings.forces import MoonGravity as MoonGravity
+    from plants.surroundings.forces import PressureForce as PressureForce
+    from plants.surroundings.forces import SunGravity as SunGravity
+    from plants.surroundings.ground import GroundTrack as GroundTrack
+    from plants.surroundings.ground import Look as Look
+    from plants.surroundings.ground import ground_track as ground_track
+    from plants.surroundings.ground import look as look
+    from plants.surroundings.ground import target_position as target_position
+    from plants.surroundings.orbit import Elements as Elements
+    from plants.surroundings.orbit import Force as Force
+    from plants.surroundings.orbit import Oblateness as Oblateness
     from plants.surroundings.orbit import Orbit as Orbit
     from plants.surroundings.orbit import circular as circular
+    from plants.surroundings.orbit import elements as elements
+    from plants.surroundings.orbit import keplerian as keplerian
+    from plants.surroundings.orbit import propagate as propagate
 
 _HOME = {  # of a name; modules are their own home
     "Actuator": "simulation.loop",
@@ -167,6 +186,10 @@ _HOME = {  # of a name; modules are their own home
     "AngleRateSuite": "hardware.sensors",
     "Atmosphere": "surroundings.environment",
     "AttitudeControl": "guidance.laws",
+    "Air": "surroundings.atmosphere",
+    "AngleRate": "hardware.sensors",
+    "AngleRateSuite": "hardware.sensors",
+    "Atmosphere": "surroundings.atmosphere",
     "AttitudeSuite": "hardware.sensors",
     "BodyState": "dynamics.rigidbody",
     "Budget": "outcome.budgets",
@@ -179,7 +202,10 @@ _HOME = {  # of a name; modules are their own home
     "Detumbling": "guidance.laws",
     "Disturbance": "surroundings.disturbances",
     "Drag": "surroundings.disturbances",
+    "DragForce": "surroundings.forces",
+    "EarthShape": "surroundings.forces",
     "Ekf": "estimation.navigation",
+    "Elements": "surroundings.orbit",
     "EngineError": "errors",
     "Environment": "surroundings.environment",
     "Errors": "outcome.indices",
@@ -190,19 +216,27 @@ _HOME = {  # of a name; modules are their own home
     "FreeSpace": "surroundings.environment",
     "GravityGradient": "surroundings.disturbances",
     "Guided": "guidance.guided",
+    "Force": "surroundings.orbit",
+    "FreeSpace": "surroundings.environment",
+    "GravityGradient": "surroundings.disturbances",
+    "GroundTrack": "surroundings.ground",
     "Gyro": "hardware.sensors",
     "Indices": "outcome.indices",
     "Inertial": "guidance.frames",
     "Kalman": "estimation.kalman",
     "Known": "guidance.modes",
+    "LayeredAtmosphere": "surroundings.atmosphere",
     "Levels": "outcome.budgets",
     "LinearModel": "simulation.linearize",
+    "Look": "surroundings.ground",
     "Loop": "simulation.loop",
     "LoopModel": "simulation.loopmodel",
     "Magnetometer": "hardware.sensors",
     "Mode": "guidance.modes",
     "Nadir": "guidance.frames",
+    "MoonGravity": "surroundings.forces",
     "Navigator": "simulation.loop",
+    "Oblateness": "surroundings.orbit",
     "Observability": "estimation.tracking",
     "Offset": "guidance.frames",
     "Orbit": "surroundings.orbit",
@@ -213,6 +247,7 @@ _HOME = {  # of a name; modules are their own home
     "Pointed": "guidance.conditions",
     "Pointing": "guidance.frames",
     "Profile": "guidance.frames",
+    "PressureForce": "surroundings.forces",
     "PulsedThrusters": "hardware.thrusters",
     "RandomTorque": "dynamics.eulerbody",
     "RawAngles": "estimation.kalman",
@@ -240,6 +275,7 @@ _HOME = {  # of a name; modules are their own home
     "StationState": "dynamics.relative",
     "Store": "simulation.store",
     "StoreError": "errors",
+    "SunGravity": "surroundings.forces",
     "SunSensor": "hardware.sensors",
     "SvdNavigator": "estimation.navigation",
     "Sweep": "simulation.sweep",
@@ -271,15 +307,23 @@ _HOME = {  # of a name; modules are their own home
     "drawings": "outcome.study",
     "either": "outcome.study",
     "ekf": "estimation.navigation",
+    "elements": "surroundings.orbit",
     "figures": "outcome.figures",
     "geo": "missions.geo",
+    "ground_track": "surroundings.ground",
     "indices": "outcome.indices",
     "kalman": "estimation.kalman",
+    "keplerian": "surroundings.orbit",
     "linear_loop": "simulation.loopmodel",
     "linearize": "simulation.linearize",
     "mode": "guidance.modes",
     "observability": "estimation.tracking",
     "pointing_errors": "outcome.indices",
+    "look": "surroundings.ground",
+    "observability": "estimation.tracking",
+    "pointing_errors": "outcome.indices",
+    "propagate": "surroundings.orbit",
+    "replay": "simulation.campaign",
     "pooled_level": "outcome.indices",
     "replay": "simulation.campaign",
     "replay_case": "simulation.campaign",
@@ -297,6 +341,8 @@ _HOME = {  # of a name; modules are their own home
     "study": "outcome.study",
     "svd_navigator": "estimation.navigation",
     "sweep": "simulation.sweep",
+    "target_position": "surroundings.ground",
+    "worst_flights": "simulation.worstflights",
     "windows": "outcome.indices",
     "worst_budget": "outcome.worstbudget",
     "worst_flights": "simulation.worstflights",

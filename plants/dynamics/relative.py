@@ -25,12 +25,9 @@ from scipy.interpolate import CubicSpline
 from plants.checks import Numbers, positive, real
 from plants.geometry.attitude import cross
 from plants.simulation import blocks
-from plants.surroundings import gravity
-from plants.surroundings.environment import julian, piece, sun_position
+from plants.surroundings import gravity, table
+from plants.surroundings.ephemeris import EARTH_RATE, STEP, about_pole, julian, moon_position, pole, sun_position
 from plants.surroundings.gravity import Harmonics
-
-EARTH_RATE = 2 * np.pi * 1.00273781191135448 / 86400  # () rad/s  of the Earth rotation angle, IERS (2010), eq. 5.15
-STEP = 3600.0  # () s, of the table: Moon and Sun within 0.1 m
 
 
 class SkyEnv(NamedTuple):
@@ -74,15 +71,14 @@ class Sky:
         real("longitude", longitude)
         positive("duration", duration)
         times = STEP * np.arange(max(int(np.ceil(duration / STEP)) + 2, 5))
-        utc1, utc2, tt1, tt2 = julian(epoch, times)
-        axes = erfa.c2i06a(tt1, tt2)  # (n, 3, 3) GCRS to CIRS
-        moon, sun = erfa.DAU * erfa.moon98(tt1, tt2)["p"], sun_position(epoch, times)
+        utc1, utc2, _, _ = julian(epoch, times)
+        axes = pole(epoch, times)  # (n, 3, 3)
+        moon, sun = moon_position(epoch, times), sun_position(epoch, times)
         turning = CubicSpline(times / STEP, axes).derivative()(times / STEP) / STEP @ np.swapaxes(axes, 1, 2)
         rate = np.stack([turning[:, 1, 2], turning[:, 2, 0], turning[:, 0, 1]], axis=-1)  # turning is -[rate x]
         columns = [(axes @ moon[..., None])[..., 0], (axes @ sun[..., None])[..., 0], rate]
-        powers = CubicSpline(times / STEP, np.concatenate(columns, axis=-1)).c[::-1]
         return cls(
-            splines=np.moveaxis(powers, 0, 1),
+            splines=table.splines(np.concatenate(columns, axis=-1)),
             angle=np.asarray(erfa.era00(utc1, utc2[0]) + longitude),
             step=STEP,
             duration=float(duration),
@@ -95,17 +91,16 @@ class Sky:
 
     def at(self, t: ArrayLike) -> SkyEnv:
         """Surroundings at t () s; all NaN outside [0, duration]."""
-        s, c = piece(self.splines, self.step, self.duration, t)
-        row = c[0] + s * (c[1] + s * (c[2] + s * c[3]))
-        slope = (c[1] + s * (2 * c[2] + s * 3 * c[3])) / self.step
+        place = table.piece(self.splines, self.step, self.duration, t)
+        row, slope = table.value(*place), table.slope(*place) / self.step
         spin = jnp.array([0.0, 0.0, EARTH_RATE])
         turn = self.angle + EARTH_RATE * jnp.asarray(t)
-        pole = _about_pole(turn, row[6:9])
+        tilt = about_pole(turn, row[6:9])
         return SkyEnv(
-            moon=_about_pole(turn, row[0:3]),
-            sun=_about_pole(turn, row[3:6]),
-            w=spin + pole,
-            dw=_about_pole(turn, slope[6:9]) - cross(spin, pole),
+            moon=about_pole(turn, row[0:3]),
+            sun=about_pole(turn, row[3:6]),
+            w=spin + tilt,
+            dw=about_pole(turn, slope[6:9]) - cross(spin, tilt),
         )
 
 
@@ -190,9 +185,3 @@ class Station:
     def project(self, x: StationState) -> StationState:
         """The state as it is."""
         return x
-
-
-def _about_pole(angle: ArrayLike, v: Array) -> Array:
-    """The vector v (3,) in axes turned by `angle` about z."""
-    c, s = jnp.cos(angle), jnp.sin(angle)
-    return jnp.stack([c * v[0] + s * v[1], c * v[1] - s * v[0], v[2]])

@@ -9,7 +9,6 @@ from datetime import datetime
 from functools import partial
 from typing import Any, Protocol
 
-import erfa
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -19,9 +18,8 @@ from plants.checks import Numbers, real
 from plants.errors import ScenarioError
 from plants.geometry import attitude
 from plants.simulation import blocks
-from plants.surroundings.disturbances import EARTH_RATE
-from plants.surroundings.environment import FLATTENING, julian
-from plants.surroundings.orbit import EARTH_RADIUS
+from plants.surroundings.ephemeris import EARTH_RATE, to_earth
+from plants.surroundings.ground import target_position
 
 
 class Direction(Protocol):
@@ -121,18 +119,11 @@ class ToTarget:
         ScenarioError
             NaN, a latitude beyond the poles, an epoch that `Environment.along` would not take.
         """
-        lat, lon, height = (real(*pair) for pair in zip(
-            ("latitude", "longitude", "altitude"), (latitude, longitude, altitude), strict=True
-        ))  # fmt: skip
-        if abs(lat) > np.pi / 2 + 1e-9:
-            raise ScenarioError(f"latitude = {float(lat)} rad lies beyond a pole: give radians within +-pi/2")
-        utc1, utc2, tt1, tt2 = julian(epoch, np.zeros(1))
-        to_earth = erfa.c2t06a(tt1, tt2, utc1, utc2, 0.0, 0.0)[0]  # GCRS to ITRS, UT1 = UTC
-        square = FLATTENING * (2 - FLATTENING)
-        normal = EARTH_RADIUS / np.sqrt(1 - square * np.sin(lat) ** 2)
-        out = (normal + height) * np.cos(lat)
-        place = np.array([out * np.cos(lon), out * np.sin(lon), (normal * (1 - square) + height) * np.sin(lat)])
-        return cls(position=to_earth.T @ place, pole=to_earth[2])
+        start = np.zeros(1)
+        return cls(
+            position=target_position(latitude, longitude, altitude, epoch, start)[0],
+            pole=to_earth(epoch, start)[0, 2],
+        )
 
     def at(self, t: ArrayLike, env: Any) -> tuple[Array, Array]:
         """Vector (3,) m and its derivative."""

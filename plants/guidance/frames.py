@@ -21,7 +21,7 @@ from plants.errors import ScenarioError
 from plants.geometry import attitude
 from plants.guidance.directions import Direction
 from plants.simulation import blocks
-from plants.surroundings.environment import piece
+from plants.surroundings.table import piece
 
 PARALLEL = 1e-3  # () rad, between two axes of a body that are to be told apart
 

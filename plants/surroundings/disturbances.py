@@ -17,9 +17,9 @@ from plants.checks import Numbers, real
 from plants.geometry.attitude import cross, dot, rotate
 from plants.simulation import blocks
 from plants.surroundings.environment import OrbitEnv
+from plants.surroundings.ephemeris import EARTH_RATE
 from plants.surroundings.orbit import MU
 
-EARTH_RATE = 7.292115e-5  # () rad/s
 SOLAR_PRESSURE = 4.54e-6  # () N/m^2 at 1 au: 1361 W/m^2 over the speed of light
 
 
@@ -34,10 +34,15 @@ class Seen(NamedTuple):
     density: Array  # () kg/m^3, air
 
 
+def wind(r: Array, v: Array) -> Array:
+    """Velocity (3,) m/s relative to air that turns with the Earth, at r (3,) m with v (3,) m/s, frame N."""
+    return v - EARTH_RATE * jnp.stack([-r[1], r[0], jnp.zeros_like(r[2])])
+
+
 def seen_from(q: ArrayLike, env: OrbitEnv) -> Seen:
     """Surroundings in the axes of a body with attitude q (4,) relative to frame N."""
-    wind = env.v - EARTH_RATE * jnp.stack([-env.r[1], env.r[0], jnp.zeros_like(env.r[2])])
-    vectors = jnp.stack([env.r, wind, env.B, env.sun])  # one rotation of four compiles to less than four of one
+    # one rotation of four compiles to less than four of one
+    vectors = jnp.stack([env.r, wind(env.r, env.v), env.B, env.sun])
     return Seen(*rotate(jnp.asarray(q)[None], vectors), sunlit=env.sunlit, density=env.density)
 
 

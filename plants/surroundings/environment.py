@@ -2,16 +2,19 @@
 
 None of it depends on attitude. It is computed once on a grid by NumPy, ppigrf (IGRF) and pyerfa, turned into cubic
 splines, and evaluated inside the compiled loop: at 10 s in low orbit the splines are within 1e-12 rad (attitude
-of frame O), 3 mm, 0.001 nT and 1e-8 of the solar disc of their sources.
+of frame O), 3 mm, 0.001 nT and 1e-8 of the solar disc of their sources. The spline of the density is that of its
+logarithm.
 
-Frame N is the GCRS; its z axis also serves as the Earth's axis for J2 and for the air that turns with the Earth
-(precession since 2000 is 0.13 deg in 2024), while the field is evaluated in the true terrestrial frame with
-UT1 = UTC and no polar motion. The Sun is geometric (no aberration), seen from the spacecraft. The shadow is the
-cone of a spherical Earth whose limb is taken as straight across a solar disc that darkens towards its edge.
+Frame N is the GCRS; its z axis also serves as the Earth's axis for J2 (`Oblateness`, the only force on the orbit by
+default) and for the air that turns with the Earth (precession since 2000 is 0.13 deg in 2024), while the field is
+evaluated in the true terrestrial frame with UT1 = UTC and no polar motion. The Sun is geometric (no aberration), seen
+from the spacecraft. The shadow is the cone of a spherical Earth whose limb is taken as straight across a solar disc
+that darkens towards its edge.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from functools import partial
 from typing import NamedTuple
 
@@ -22,18 +25,18 @@ import numpy as np
 import ppigrf
 from jax import Array
 from jax.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 
 from plants.checks import Numbers, positive, real
 from plants.errors import ScenarioError
 from plants.geometry import attitude
 from plants.simulation import blocks
-from plants.surroundings import orbit
-from plants.surroundings.orbit import EARTH_RADIUS, Orbit
+from plants.surroundings import orbit, table
+from plants.surroundings.atmosphere import Air, LayeredAtmosphere
+from plants.surroundings.ephemeris import sun_position, to_earth, utc_of
+from plants.surroundings.orbit import EARTH_RADIUS, Force, Oblateness, Orbit
 
-DAY = 86400.0  # () s
-EARLIEST, LATEST = datetime(1972, 1, 1), datetime(2030, 1, 1)  # UTC with leap seconds; IGRF-14
-FLATTENING = 1 / 298.257223563  # ()  WGS 84
+FINE = 0.012  # () rad, of a turn about the Earth in an interval: 10 s in low orbit
+COARSE = 0.1  # () rad, likewise: field within 40 nT, positions within 4 m
 SUN_ANGULAR_RADIUS = 6.957e8 / erfa.DAU  # () rad  nominal solar radius (IAU 2015 resolution B3) at 1 au
 
 
@@ -50,20 +53,6 @@ class OrbitEnv(NamedTuple):
     w_ON: Array  # (3,) rad/s, inertial rate of frame O in the axes of O
 
 
-class Atmosphere(NamedTuple):
-    """Exponential atmosphere; the default is the 450 to 500 km layer of Vallado (2013), table 8-4."""
-
-    density: float = 1.585e-12  # () kg/m^3 at `altitude`
-    altitude: float = 450e3  # () m above the ellipsoid
-    scale_height: float = 60.828e3  # () m
-
-    def at(self, r: np.ndarray) -> np.ndarray:
-        """Density (...) kg/m^3 at r (..., 3) m; height above the ellipsoid along the radius."""
-        distance = np.linalg.norm(r, axis=-1)
-        ground = EARTH_RADIUS * (1 - FLATTENING * (r[..., 2] / distance) ** 2)
-        return self.density * np.exp((self.altitude - (distance - ground)) / self.scale_height)
-
-
 @partial(blocks.node, data_fields=["splines"], meta_fields=["step", "duration"])
 @dataclass(frozen=True, kw_only=True)
 class Environment:
@@ -74,7 +63,7 @@ class Environment:
 
     splines: Numbers  # (..., n, 4, 21) cubic coefficients of every interval, lowest power first
     step: float  # () s, length of an interval
-    duration: float  # () s, from the epoch
+    duration: float  # () s, from the epoch; a flight must not be longer
 
     @classmethod
     def along(
@@ -83,8 +72,9 @@ class Environment:
         epoch: datetime,
         duration: float,
         *,
-        step: float = 10.0,
-        atmosphere: Atmosphere = Atmosphere(),  # noqa: B008 (immutable)
+        step: float | None = None,
+        atmosphere: Air | None = LayeredAtmosphere(),  # noqa: B008 (immutable)
+        forces: Sequence[Force] = (Oblateness(),),
     ) -> "Environment":
         """Environment of a spacecraft that flies the orbit from `start` at `epoch` for `duration`.
 
@@ -93,28 +83,43 @@ class Environment:
         start : (..., 3) m, (..., 3) m/s in frame N; leading axes give a batch of environments
         epoch : UTC (a datetime without time zone is taken as UTC)
         duration : () s, the last time at which `at` may be called
-        step : () s, between two points of the table
-        atmosphere : density of the air
+        step : () s, between two points of the table; 10 by default, and less where a perigee is passed faster than
+            in low orbit
+        atmosphere : density of the air; None is "not modelled" (NaN)
+        forces : what moves the orbit besides a spherical Earth (`plants.surroundings.forces`)
 
         Raises
         ------
         ScenarioError
-            NaN, negative or zero duration or step, an epoch before 1972 or after 2029, an orbit inside the Earth.
+            NaN, negative or zero duration or step, a step with which the splines would miss the perigee, an epoch
+            before 1972 or after 2029, an orbit that is or comes inside the Earth, an altitude that the atmosphere does
+            not know, forces that `orbit.propagate` refuses.
         """
-        for name, value in (("duration", duration), ("step", step)):
-            positive(name, value)
+        positive("duration", duration)
+        fastest = _fastest(start)
+        step = min(10.0, FINE / fastest) if step is None else float(positive("step", step))
+        if step * fastest > COARSE:
+            raise ScenarioError(
+                f"step = {step:g} s is too long for splines where the orbit turns at {fastest:.3g} rad/s: "
+                f"at most {COARSE / fastest:.3g} s"
+            )
         intervals = max(int(np.ceil(duration / step)) + 1, 4)  # one more than needed: t = duration falls inside
         times = step * np.arange(intervals + 1)
-        r, v = orbit.propagate(start, times)
+        r, v = orbit.propagate(start, times, forces, epoch)
         sun = sun_position(epoch, times) - r
+        heavens = orbit.ephemeris(forces, epoch, float(times[-1]))
         with jax.enable_x64(True):
-            q_ON, w_ON = (np.asarray(f(r, v)) for f in (orbit.orbital_frame, orbit.orbital_frame_rate))
+            q_ON = np.asarray(orbit.orbital_frame(r, v))
+            w_ON = np.asarray(orbit.orbital_frame_rate(r, v, times, tuple(forces), heavens))
         columns = [
             r, v, magnetic_field(r, epoch, times), sun / np.linalg.norm(sun, axis=-1, keepdims=True),
-            limb_angle(r, sun)[..., None], atmosphere.at(r)[..., None], _without_jumps(q_ON), w_ON,
+            limb_angle(r, sun)[..., None], _logarithm(atmosphere, r, epoch, times)[..., None], _without_jumps(q_ON),
+            w_ON,
         ]  # fmt: skip
-        powers = CubicSpline(times / step, np.concatenate(columns, axis=-1), axis=-2).c[::-1]
-        return cls(splines=np.moveaxis(powers, (0, 1), (-2, -3)), step=float(step), duration=float(duration))
+        cubics = table.splines(np.concatenate(columns, axis=-1))
+        if atmosphere is None:
+            cubics[..., 13] = np.nan
+        return cls(splines=cubics, step=step, duration=float(duration))
 
     def sun_field_angle(self) -> np.ndarray:
         """Angle between the lines of Sun and field at the points of the table, (..., n) rad in [0, pi/2].
@@ -126,24 +131,11 @@ class Environment:
 
     def at(self, t: ArrayLike) -> OrbitEnv:
         """Surroundings at t () s; all NaN outside [0, duration]."""
-        s, c = piece(self.splines, self.step, self.duration, t)
-        row = c[0] + s * (c[1] + s * (c[2] + s * c[3]))
+        row = table.value(*table.piece(self.splines, self.step, self.duration, t))
         return OrbitEnv(
             r=row[0:3], v=row[3:6], B=row[6:9], sun=row[9:12], sunlit=visible_fraction(row[12]),
-            density=row[13], q_ON=row[14:18], w_ON=row[18:21],
+            density=jnp.exp(row[13]), q_ON=row[14:18], w_ON=row[18:21],
         )  # fmt: skip
-
-
-def piece(splines: Numbers, step: float, duration: float, t: ArrayLike) -> tuple[Array, Array]:
-    """Where t () s lies in a table of cubic splines (n, 4, k): s () in [0, 1] of its interval, whose cubic is c (4, k).
-
-    The value is c[0] + s c[1] + s^2 c[2] + s^3 c[3]. Outside [0, duration] s is NaN, so that all that follows is.
-    """
-    table, t = jnp.asarray(splines), jnp.asarray(t)
-    place = t / step
-    i = jnp.clip(jnp.floor(place).astype(int), 0, table.shape[0] - 1)
-    known = (t >= 0) & (t <= duration * (1 + 1e-12))
-    return jnp.where(known, place - i, jnp.nan), table[i]
 
 
 @partial(blocks.node, data_fields=["r", "v", "q_ON"], meta_fields=[])
@@ -154,6 +146,7 @@ class CircularEnvironment:
     r: Numbers  # (3,) m, N, at t = 0
     v: Numbers  # (3,) m/s, N, at t = 0
     q_ON: Numbers  # (4,) attitude of frame O at t = 0
+    duration = float("inf")  # () s
 
     @classmethod
     def along(cls, start: Orbit) -> "CircularEnvironment":
@@ -183,6 +176,8 @@ class CircularEnvironment:
 class FreeSpace:
     """No orbit: frame O is frame N and nothing else is modelled (NaN). For inertial pointing."""
 
+    duration = float("inf")  # () s
+
     def at(self, t: ArrayLike) -> OrbitEnv:
         """Surroundings at any t () s."""
         del t
@@ -195,10 +190,9 @@ def magnetic_field(r: np.ndarray, epoch: datetime, times: np.ndarray) -> np.ndar
     IGRF of degree 13, with the coefficients of the middle of the interval (they drift by less than 1 nT in
     three days).
     """
-    middle = _utc(epoch, float(times[-1])) + timedelta(seconds=float(times[-1]) / 2)
-    utc1, utc2, tt1, tt2 = julian(epoch, times)
-    to_earth = erfa.c2t06a(tt1, tt2, utc1, utc2, 0.0, 0.0)  # (n, 3, 3) GCRS to ITRS
-    x, y, z = np.moveaxis((to_earth @ r[..., None])[..., 0], -1, 0)
+    middle = utc_of(epoch, float(times[-1])) + timedelta(seconds=float(times[-1]) / 2)
+    turn = to_earth(epoch, times)
+    x, y, z = np.moveaxis((turn @ r[..., None])[..., 0], -1, 0)
     distance = np.linalg.norm(r, axis=-1)
     colatitude, longitude = np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)
     up, south, east = (
@@ -208,14 +202,7 @@ def magnetic_field(r: np.ndarray, epoch: datetime, times: np.ndarray) -> np.ndar
     out = up * np.sin(colatitude) + south * np.cos(colatitude)
     c, s = np.cos(longitude), np.sin(longitude)
     field = np.stack([out * c - east * s, out * s + east * c, up * np.cos(colatitude) - south * np.sin(colatitude)], -1)
-    return (np.swapaxes(to_earth, -1, -2) @ field[..., None])[..., 0]
-
-
-def sun_position(epoch: datetime, times: np.ndarray) -> np.ndarray:
-    """Geocentric position of the Sun in m, frame N, at the times (n,) s after `epoch`: (n, 3). erfa.epv00."""
-    _, _, tt1, tt2 = julian(epoch, times)
-    heliocentric, _ = erfa.epv00(tt1, tt2)
-    return -erfa.DAU * heliocentric["p"]
+    return (np.swapaxes(turn, -1, -2) @ field[..., None])[..., 0]
 
 
 def limb_angle(r: np.ndarray, sun: np.ndarray) -> np.ndarray:
@@ -235,33 +222,26 @@ def visible_fraction(angle: ArrayLike) -> Array:
     return 0.5 + 0.25 * x * (3 - x**2)
 
 
+def _fastest(start: Orbit) -> float:
+    """Greatest angular rate () rad/s about the Earth of the ellipses from `start`, that of their perigees."""
+    h = np.linalg.norm(np.cross(start.r, start.v), axis=-1)
+    perigee = h**2 / orbit.MU / (1 + orbit.elements(start).eccentricity)
+    return float((h / perigee**2).max())
+
+
+def _logarithm(atmosphere: Air | None, r: np.ndarray, epoch: datetime, times: np.ndarray) -> np.ndarray:
+    """Logarithm of the density (..., n): splines of it fall as the air does, and never below zero."""
+    if atmosphere is None:
+        return np.zeros(r.shape[:-1])
+    density = real("density", atmosphere.along(r, epoch, times), r.shape[:-1])
+    return np.log(positive("density", density, r.shape[:-1]))
+
+
 def _without_jumps(q: np.ndarray) -> np.ndarray:
     """The same q (..., n, 4) with signs such that neighbours along n are close."""
     same = np.sum(q[..., 1:, :] * q[..., :-1, :], axis=-1) > 0
     signs = np.cumprod(np.where(same, 1.0, -1.0), axis=-1)
     return np.concatenate([q[..., :1, :], signs[..., None] * q[..., 1:, :]], axis=-2)
-
-
-def julian(epoch: datetime, times: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Two-part Julian dates, UTC and TT, at times (n,) s after the epoch."""
-    utc = _utc(epoch, float(times[-1]))
-    seconds = utc.second + utc.microsecond * 1e-6
-    utc1, utc2 = erfa.dtf2d("UTC", utc.year, utc.month, utc.day, utc.hour, utc.minute, seconds)
-    tt1, tt2 = erfa.taitt(*erfa.utctai(utc1, utc2))
-    return utc1, utc2 + times / DAY, tt1, tt2 + times / DAY
-
-
-def _utc(epoch: datetime, duration: float) -> datetime:
-    """The epoch in UTC without time zone; ScenarioError if it, or the end of the run, is out of range."""
-    if not isinstance(epoch, datetime):
-        raise ScenarioError(f"epoch = {epoch!r}: give a datetime in UTC, such as datetime(2026, 3, 20, 12)")
-    utc = epoch.astimezone(UTC).replace(tzinfo=None) if epoch.tzinfo else epoch
-    if not EARLIEST <= utc <= LATEST - timedelta(seconds=duration):
-        raise ScenarioError(
-            f"epoch {epoch} with {duration:g} s to go must lie between {EARLIEST:%Y} (leap seconds) "
-            f"and {LATEST:%Y} (IGRF-14): move it"
-        )
-    return utc
 
 
 def _without_field() -> OrbitEnv:

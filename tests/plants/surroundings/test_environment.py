@@ -11,7 +11,8 @@ import pytest
 from plants.errors import ScenarioError
 from plants.geometry import attitude
 from plants.surroundings import environment, orbit
-from plants.surroundings.environment import Atmosphere, CircularEnvironment, Environment, FreeSpace
+from plants.surroundings.atmosphere import Atmosphere
+from plants.surroundings.environment import CircularEnvironment, Environment, FreeSpace
 
 EPOCH = datetime(2024, 3, 20, 9)
 LOW = orbit.circular(470e3, np.deg2rad(51.6), 2.0, 0.4)
