@@ -2,8 +2,9 @@
 
 None of it depends on attitude. It is computed once on a grid by NumPy, ppigrf (IGRF) and pyerfa, turned into cubic
 splines, and evaluated inside the compiled loop: at 10 s in low orbit the splines are within 1e-12 rad (attitude
-of frame O), 3 mm, 0.001 nT and 1e-8 of the solar disc of their sources. The spline of the density is that of its
-logarithm.
+of frame O), 3 mm, 0.001 nT and 1e-8 of the solar disc of their sources, and as near with the shorter step that an
+eccentric orbit gets. The spline of the density is that of its logarithm: within 1 % where an eccentric orbit passes
+from one layer of air into the next, 1e-9 inside them.
 
 Frame N is the GCRS; its z axis also serves as the Earth's axis for J2 (`Oblateness`, the only force on the orbit by
 default) and for the air that turns with the Earth (precession since 2000 is 0.13 deg in 2024), while the field is
@@ -36,7 +37,7 @@ from plants.surroundings.ephemeris import sun_position, to_earth, utc_of
 from plants.surroundings.orbit import EARTH_RADIUS, Force, Oblateness, Orbit
 
 FINE = 0.012  # () rad, of a turn about the Earth in an interval: 10 s in low orbit
-COARSE = 0.1  # () rad, likewise: field within 40 nT, positions within 4 m
+COARSE = 0.1  # () rad, likewise: positions within 20 m, field within 4 nT, frame O within 3e-7 rad
 SUN_ANGULAR_RADIUS = 6.957e8 / erfa.DAU  # () rad  nominal solar radius (IAU 2015 resolution B3) at 1 au
 
 

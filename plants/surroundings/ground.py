@@ -1,6 +1,7 @@
 """Places on the ground: below a satellite, as a target in frame N, and what a station there sees.
 
-Geodetic latitude and altitude, WGS 84; the Earth turns as in `plants.surroundings.ephemeris`.
+Geodetic latitude (within 4e-11 rad) and altitude, WGS 84, by erfa.gc2gd; the Earth turns as in
+`plants.surroundings.ephemeris`.
 """
 
 from datetime import datetime

@@ -288,7 +288,7 @@ def ephemeris(forces: Sequence[Force], epoch: datetime | None, duration: float) 
     if twice:
         raise ScenarioError(f"forces hold {twice[0]} more than once: leave one of them away")
     for force in forces:
-        if not hasattr(force, "acceleration"):
+        if isinstance(force, type) or not hasattr(force, "acceleration"):
             raise ScenarioError(f"forces must be objects such as Oblateness(), got {force!r}")
         blocks.register(force)
     if all(isinstance(force, Oblateness) for force in forces):

@@ -5,6 +5,8 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from plants.errors import ScenarioError
 from plants.geometry import attitude
@@ -121,3 +123,73 @@ def test_bad_orbits_are_refused():
         orbit.propagate(Orbit(LOW.r / 2, LOW.v), [0.0, 1.0])
     with pytest.raises(ScenarioError, match="r must be finite"):
         orbit.propagate(Orbit(LOW.r * np.nan, LOW.v), [0.0, 1.0])
+
+
+ANGLE = st.floats(-np.pi, np.pi)
+
+
+@given(st.floats(6.6e6, 5e8), st.floats(0, 0.99), st.floats(0, np.pi), ANGLE, ANGLE, ANGLE)
+def test_elements_and_states_are_each_others_inverse(perigee, eccentricity, inclination, raan, argument, anomaly):
+    """The state always, also of circles and on the equator, where elements are not unique; else the elements too."""
+    a = perigee / (1 - eccentricity)
+    state = orbit.keplerian(a, eccentricity, inclination, raan, argument, anomaly)
+    found = orbit.elements(state)
+    again = orbit.keplerian(*found)
+    loss = 1e-14 / (1 - eccentricity) ** 2  # of the energy where v is near that of escape
+    np.testing.assert_allclose(again.r, state.r, rtol=0, atol=100 * loss * np.linalg.norm(state.r))
+    np.testing.assert_allclose(again.v, state.v, rtol=0, atol=100 * loss * np.linalg.norm(state.v))
+    assert found.semi_major_axis == pytest.approx(a, rel=10 * loss)
+    assert found.eccentricity == pytest.approx(eccentricity, abs=1e-14)
+    assert found.inclination == pytest.approx(inclination, abs=1e-7)
+    if 1e-3 < inclination < np.pi - 1e-3 and eccentricity > 1e-3:
+        for name, value in (("raan", raan), ("argument_of_perigee", argument), ("true_anomaly", anomaly)):
+            assert abs(np.exp(1j * (getattr(found, name) - value)) - 1) < 1e-9, name
+
+
+def test_keplerian_orbit_by_hand():
+    """Perigee over the equator on the x axis, flown north; vis-viva; half a turn later the apogee."""
+    a, e = 10e6, 0.3
+    r, v = orbit.keplerian(a, e, np.pi / 2)
+    np.testing.assert_allclose(r, [a * (1 - e), 0, 0], atol=1e-8)
+    np.testing.assert_allclose(v, [0, 0, np.sqrt(MU / a * (1 + e) / (1 - e))], atol=1e-11)
+    period = 2 * np.pi * np.sqrt(a**3 / MU)
+    flown = orbit.propagate(Orbit(r, v), np.array([0.0, 0.5, 1.0]) * period, ())
+    np.testing.assert_allclose(flown.r[1], [-a * (1 + e), 0, 0], atol=1e-3)
+    np.testing.assert_allclose(flown.r[2], r, atol=1e-3)
+
+
+def test_circular_is_the_ellipse_without_eccentricity():
+    for one, two in zip(
+        LOW, orbit.keplerian(orbit.EARTH_RADIUS + 470e3, 0.0, np.deg2rad(51.6), 2.0, 0.0, 0.4), strict=True
+    ):
+        np.testing.assert_array_equal(one, two)
+
+
+def test_elements_broadcast():
+    many = orbit.keplerian([7e6, 8e6], 0.01, 0.3, np.zeros((3, 1)), 0.1, 0.2)
+    assert many.r.shape == (3, 2, 3)
+    assert orbit.elements(many).eccentricity.shape == (3, 2)
+    np.testing.assert_array_equal(many.v[2, 1], orbit.keplerian(8e6, 0.01, 0.3, 0.0, 0.1, 0.2).v)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"eccentricity": 1.0}, "eccentricity must lie in"), ({"eccentricity": -0.1}, "eccentricity must lie in"),
+        ({"eccentricity": 0.2}, "perigee at 5.6e.06 m, inside the Earth"), ({"inclination": np.nan}, "inclination"),
+        ({"semi_major_axis": 500e3}, "from its centre"), ({"true_anomaly": np.inf}, "true_anomaly"),
+        ({"raan": "east"}, "raan"),
+        ({"raan": [1.0, 2.0], "inclination": [1.0, 2.0, 3.0]}, "broadcast"),
+    ],
+)  # fmt: skip
+def test_bad_elements_are_refused(change, message):
+    with pytest.raises(ScenarioError, match=message):
+        orbit.keplerian(**({"semi_major_axis": 7e6, "eccentricity": 0.0, "inclination": 0.1} | change))
+
+
+def test_states_that_are_no_ellipse_have_no_elements():
+    for v in (1.5 * LOW.v, 0 * LOW.v, LOW.r / 1e4):
+        with pytest.raises(ScenarioError, match="no ellipse"):
+            orbit.elements(Orbit(LOW.r, v))
+    with pytest.raises(ScenarioError, match="v must be finite"):
+        orbit.elements(Orbit(LOW.r, LOW.v * np.nan))
