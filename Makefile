@@ -31,7 +31,7 @@ $(VENV)/run.stamp: pyproject.toml requirements/run.txt
 # the oracles have no wheel for every platform; the tests that compare with them skip without them
 $(VENV)/dev.stamp: $(VENV)/run.stamp requirements/dev.txt requirements/oracles.txt
 	$(PIP) --require-hashes -r requirements/dev.txt
-	$(PIP) --require-hashes --only-binary slycot -r requirements/oracles.txt || echo "slycot or fmpy is not to be had here: their comparisons will be skipped"
+	$(PIP) --require-hashes --only-binary slycot,pymsis -r requirements/oracles.txt || echo "slycot, fmpy or pymsis is not to be had here: their comparisons will be skipped"
 	touch $@
 
 clean:

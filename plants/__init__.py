@@ -170,6 +170,7 @@ if TYPE_CHECKING:
     from plants.surroundings.ground import ground_track as ground_track
     from plants.surroundings.ground import look as look
     from plants.surroundings.ground import target_position as target_position
+    from plants.surroundings.msis import Msis as Msis
     from plants.surroundings.orbit import Elements as Elements
     from plants.surroundings.orbit import Force as Force
     from plants.surroundings.orbit import Oblateness as Oblateness
@@ -235,6 +236,7 @@ _HOME = {  # of a name; modules are their own home
     "Mode": "guidance.modes",
     "Nadir": "guidance.frames",
     "MoonGravity": "surroundings.forces",
+    "Msis": "surroundings.msis",
     "Navigator": "simulation.loop",
     "Oblateness": "surroundings.orbit",
     "Observability": "estimation.tracking",

@@ -95,15 +95,21 @@ class LayeredAtmosphere(NamedTuple):
         positive("factor", self.factor)
         if not 0 <= self.lowest < self.highest:
             raise ScenarioError(f"lowest = {self.lowest} m must lie between 0 and highest = {self.highest} m")
+        stay_between(self.lowest, self.highest, r, times)
         with jax.enable_x64(True):
-            height, density = np.asarray(altitude(r)), np.asarray(self.at(r))
-        wrong = ~((height >= self.lowest) & (height <= self.highest))  # NaN is wrong
-        if wrong.any():
-            place = tuple(np.argwhere(wrong)[np.argmin(np.argwhere(wrong)[:, -1])])
-            raise ScenarioError(
-                f"atmosphere: the orbit is {height[place] / 1e3:.1f} km high at {times[place[-1]]:g} s, and the layers "
-                f"are known from {self.lowest / 1e3:g} to {self.highest / 1e3:g} km: change the orbit, or give "
-                "LayeredAtmosphere(highest=np.inf), where the last layer goes on, an Atmosphere(...) of your own, or "
-                "None for no air"
-            )
-        return density
+            return np.asarray(self.at(r))
+
+
+def stay_between(lowest: float, highest: float, r: np.ndarray, times: np.ndarray) -> None:
+    """ScenarioError if r (..., n, 3) m at the times (n,) s leaves the altitudes that a model knows; says when first."""
+    with jax.enable_x64(True):
+        height = np.asarray(altitude(r))
+    wrong = np.argwhere(~((height >= lowest) & (height <= highest)))  # NaN is wrong
+    if len(wrong):
+        place = tuple(wrong[np.argmin(wrong[:, -1])])
+        raise ScenarioError(
+            f"atmosphere: the orbit is {height[place] / 1e3:.1f} km high at {times[place[-1]]:g} s, and the air is "
+            f"known from {lowest / 1e3:g} to {highest / 1e3:g} km: change the orbit, or give "
+            "LayeredAtmosphere(highest=np.inf), where the last layer goes on, an Atmosphere(...) of your own, or "
+            "None for no air"
+        )

@@ -1,5 +1,6 @@
 """Air: the published table, its borders and its range, and what an environment makes of it."""
 
+import sys
 from datetime import datetime
 from types import SimpleNamespace
 
@@ -11,6 +12,7 @@ from plants.errors import ScenarioError
 from plants.surroundings import orbit
 from plants.surroundings.atmosphere import LAYERS, Atmosphere, LayeredAtmosphere
 from plants.surroundings.environment import Environment
+from plants.surroundings.msis import Msis
 
 EPOCH = datetime(2024, 3, 20, 9)
 AIR = LayeredAtmosphere()
@@ -131,3 +133,9 @@ def test_a_model_of_the_users_own_is_enough():
             Environment.along(start, EPOCH, 600.0, atmosphere=broken)
     with pytest.raises(ScenarioError, match="density must have shape"):
         Environment.along(start, EPOCH, 600.0, atmosphere=SimpleNamespace(along=lambda r, epoch, times: 1e-13))
+
+
+def test_without_its_package_msis_names_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pymsis", None)
+    with pytest.raises(ScenarioError, match=r"pip install 'convex-synth\[msis\]'"):
+        Msis.create()
