@@ -4,6 +4,7 @@ Factories call `real` on every argument. Shape and precision are checked also of
 the rest needs concrete numbers and is skipped inside `jit`, `vmap` and `grad`, where nothing can raise.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,23 @@ def positive(name: str, value: Any, shape: tuple[int | None, ...] = (), *, infin
     array = real(name, value, shape, infinite=infinite)
     if not isinstance(array, Tracer) and not (array > 0).all():
         raise ScenarioError(f"{name} must be positive, got {array.tolist()}")
+    return array
+
+
+def each(name: str, value: Any, n: int, check: Callable[..., Any], **options: Any) -> Any:
+    """A number for each of n devices, (n,), from one for all or as many; checked by `real` or `positive`."""
+    checked = check(name, value, (n,) if np.ndim(value) else (), **options)
+    return checked if np.ndim(checked) else checked * np.ones(n)
+
+
+def unit(name: str, value: Any, shape: tuple[int | None, ...]) -> Any:
+    """As `real`, a vector or columns of length one (to 1e-9); ScenarioError otherwise."""
+    array = real(name, value, shape)
+    if not isinstance(array, Tracer):
+        lengths = np.linalg.norm(array, axis=0)
+        if not np.allclose(lengths, 1, rtol=0, atol=1e-9):
+            what, were = ("a unit vector", "length") if array.ndim == 1 else ("unit columns", "lengths")
+            raise ScenarioError(f"{name} must be {what}, got {were} {lengths.tolist()}: normalise them")
     return array
 
 

@@ -21,6 +21,7 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from plants.checks import Numbers, positive, real
+from plants.dynamics.inertia import check_moments, inertia_matrix
 from plants.errors import ScenarioError, SingularityError
 from plants.geometry import attitude
 from plants.simulation import blocks
@@ -52,17 +53,26 @@ class EulerBody:
     wheel_inertia: Numbers  # (3,) kg m^2
 
     @classmethod
-    def create(cls, inertia: ArrayLike, *, wheel_inertia: ArrayLike) -> "EulerBody":
-        """Body from its inertia (3, 3) kg m^2 and that of its wheels (3,) kg m^2 about their spin axes.
+    def create(cls, inertia: ArrayLike, *, wheel_inertia: ArrayLike, physical: bool = True) -> "EulerBody":
+        """Body from its inertia and that of its wheels about their spin axes.
+
+        Parameters
+        ----------
+        inertia : (3, 3) kg m^2, or (3,) its diagonal
+        wheel_inertia : (3,) kg m^2
+        physical : as in `RigidBody.create`
 
         Raises
         ------
         ScenarioError
-            Wrong shapes, NaN, an inertia that is not symmetric positive definite, a wheel without inertia.
+            Wrong shapes, NaN, an inertia that is not symmetric positive definite or that no body has, a wheel without
+            inertia.
         """
-        I, Js = real("inertia", inertia, (3, 3)), positive("wheel_inertia", wheel_inertia, (3,))
-        if not np.allclose(I, I.T, rtol=0, atol=1e-12 * np.abs(I).max()) or np.linalg.eigvalsh(I)[0] <= 0:
+        I, Js = inertia_matrix("inertia", inertia), positive("wheel_inertia", wheel_inertia, (3,))
+        if np.linalg.eigvalsh(I)[0] <= 0:
             raise ScenarioError(f"inertia must be symmetric positive definite, got {I.tolist()} kg m^2")
+        if physical:
+            check_moments("inertia", I)
         return cls(inertia=I, inverse=np.linalg.inv(I), wheel_inertia=Js)
 
     def derivative(self, x: EulerState, u: ArrayLike, env: TorqueEnv) -> EulerState:

@@ -19,7 +19,8 @@ from jax import Array
 from jax.core import Tracer
 from jax.typing import ArrayLike
 
-from plants.checks import Numbers, real
+from plants.checks import Numbers, positive, unit
+from plants.dynamics.inertia import check_moments, inertia_matrix
 from plants.errors import ScenarioError
 from plants.geometry import attitude
 from plants.simulation import blocks
@@ -62,34 +63,39 @@ class RigidBody:
         wheel_axes: ArrayLike | None = None,
         wheel_inertia: ArrayLike | None = None,
         disturbances: tuple[Disturbance, ...] = (),
+        physical: bool = True,
     ) -> "RigidBody":
         """Rigid body from its numbers, concrete or traced (then only shapes and precision are checked).
 
         Parameters
         ----------
-        inertia : (3, 3) kg m^2, with the wheels at rest relative to the body
+        inertia : (3, 3) kg m^2, or (3,) its diagonal, with the wheels at rest relative to the body
         wheel_axes : (3, n) unit columns; without wheels the input is an external torque
         wheel_inertia : (n,) kg m^2
         disturbances : see `plants.surroundings.disturbances`
+        physical : False takes moments that no distribution of mass has: studies that disperse them one by one draw some
 
         Raises
         ------
         ScenarioError
             Wrong shapes, NaN, float32 tracers; an inertia that is not symmetric or, without its rotors, not positive
-            definite; axes that are not unit vectors; a wheel inertia that is not positive.
+            definite, or whose largest moment exceeds the sum of the others; axes that are not unit vectors; a wheel
+            inertia that is not positive.
         """
         if (wheel_axes is None) != (wheel_inertia is None):
             raise ScenarioError("wheel_axes and wheel_inertia come together: give both or neither")
-        I = real("inertia", inertia, (3, 3))
-        G = real("wheel_axes", np.zeros((3, 0)) if wheel_axes is None else wheel_axes, (3, None))
-        n = G.shape[1]
-        Js = real("wheel_inertia", np.zeros(0) if wheel_inertia is None else wheel_inertia, (n,))
+        I = inertia_matrix("inertia", inertia)
+        G = unit("wheel_axes", np.zeros((3, 0)) if wheel_axes is None else wheel_axes, (3, None))
+        Js = positive("wheel_inertia", np.zeros(0) if wheel_inertia is None else wheel_inertia, (G.shape[1],))
         rest = I - (G * Js) @ G.T
         if isinstance(rest, Tracer):
             inverse = jnp.linalg.inv(rest)
         else:
-            _check(I, G, Js, rest)
+            if np.linalg.eigvalsh(rest)[0] <= 0:
+                raise ScenarioError(f"inertia without the rotors must be positive definite, got {rest.tolist()} kg m^2")
             inverse = np.linalg.inv(rest)
+        if physical and not isinstance(I, Tracer):
+            check_moments("inertia", I)
         return cls(inertia=I, inverse=inverse, wheel_axes=G, wheel_inertia=Js, disturbances=tuple(disturbances))
 
     def check(self, x: BodyState) -> None:
@@ -111,13 +117,41 @@ class RigidBody:
         x : state
         u : (n,) N m, torques of the motors on the wheels; without wheels (3,) N m, torque on the body
         env : surroundings
+
+        Raises
+        ------
+        ScenarioError
+            As many wheel speeds or motor torques as there are wheels are not there.
         """
-        G, u = jnp.asarray(self.wheel_axes), jnp.asarray(u)
-        control = -(G @ u) if G.shape[1] else u
-        torque = self.disturbance_torque(x.q, env) - attitude.cross(x.w, self.momentum(x)) + control
-        dw = self.inverse @ torque  # Equation 3
-        spin = u / self.wheel_inertia - G.T @ dw if G.shape[1] else jnp.asarray(x.wheels)
-        return BodyState(q=attitude.kinematics(x.q, x.w), w=dw, wheels=spin)
+        if self.wheel_axes.shape[1]:
+            return self.motion(x, u, jnp.zeros(3), env)
+        return self.motion(x, jnp.zeros(0), u, env)
+
+    def motion(
+        self, x: BodyState, motors: ArrayLike, torque: ArrayLike, env: OrbitEnv, stored: ArrayLike = 0.0
+    ) -> BodyState:
+        """`derivative` under torques of motors and of whatever else acts on the body.
+
+        Parameters
+        ----------
+        x : state
+        motors : (n,) N m, torques on the wheels about their axes, which react on the body
+        torque : (3,) N m on the body, body axes, beside the disturbances
+        env : surroundings
+        stored : (3,) N m s, body axes, momentum held by devices other than the wheels
+
+        Raises
+        ------
+        ScenarioError
+            As many wheel speeds or motor torques as there are wheels are not there.
+        """
+        G, motors = jnp.asarray(self.wheel_axes), jnp.asarray(motors)
+        for name, what in (("wheels", x.wheels), ("motor torques", motors)):
+            if jnp.shape(what) != G.shape[1:]:
+                raise ScenarioError(f"{name} has shape {jnp.shape(what)}: give {G.shape[1:]}, one for each wheel")
+        load = self.disturbance_torque(x.q, env) - attitude.cross(x.w, self.momentum(x) + stored) + torque
+        dw = self.inverse @ (load - G @ motors)  # Equation 3
+        return BodyState(q=attitude.kinematics(x.q, x.w), w=dw, wheels=motors / self.wheel_inertia - G.T @ dw)
 
     def momentum(self, x: BodyState) -> Array:
         """Angular momentum I w + G Js Om in body axes, (3,) N m s. Equation 2."""
@@ -159,16 +193,3 @@ def state_from(q_OB: ArrayLike, w_OB: ArrayLike, wheels: ArrayLike, env: OrbitEn
         w=jnp.asarray(w_OB) + attitude.rotate(q_OB, env.w_ON),
         wheels=jnp.asarray(wheels),
     )
-
-
-def _check(I: np.ndarray, G: np.ndarray, Js: np.ndarray, rest: np.ndarray) -> None:
-    """Raise ScenarioError for a body that cannot exist."""
-    if not np.allclose(I, I.T, rtol=0, atol=1e-12 * np.abs(I).max()):
-        raise ScenarioError(f"inertia must be symmetric, got {I.tolist()}: products of inertia come in pairs")
-    if np.linalg.eigvalsh(rest)[0] <= 0:
-        raise ScenarioError(f"inertia without the rotors must be positive definite, got {rest.tolist()} kg m^2")
-    lengths = np.linalg.norm(G, axis=0)
-    if not np.allclose(lengths, 1, rtol=0, atol=1e-9):
-        raise ScenarioError(f"wheel_axes must be unit columns, got lengths {lengths.tolist()}: normalise them")
-    if (Js <= 0).any():
-        raise ScenarioError(f"wheel_inertia must be positive, got {Js.tolist()} kg m^2")

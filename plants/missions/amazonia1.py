@@ -154,9 +154,10 @@ def satellite(moments: ArrayLike | None = None, *, torque: ArrayLike | None = No
     if moments is not None:
         np.fill_diagonal(inertia, real("moments", moments, (3,)))
     push = ConstantTorque(value=np.zeros(3) if torque is None else real("torque", torque, (3,)))
-    return Satellite(
-        body=RigidBody.create(inertia, wheel_axes=WHEEL_AXES, wheel_inertia=WHEEL_INERTIA, disturbances=(push,))
+    body = RigidBody.create(
+        inertia, wheel_axes=WHEEL_AXES, wheel_inertia=WHEEL_INERTIA, disturbances=(push,), physical=False
     )
+    return Satellite(body=body)
 
 
 def wheels() -> ReactionWheels:

@@ -124,6 +124,7 @@ def body(moments: ArrayLike = INERTIA, *, disturbed: bool = True) -> RigidBody:
         wheel_axes=WHEEL_AXES,
         wheel_inertia=WHEEL_INERTIA,
         disturbances=disturbances() if disturbed else (),
+        physical=False,
     )
 
 

@@ -182,6 +182,30 @@ def test_numbers_are_float64_whatever_the_flag_says():
     assert {leaf.dtype for leaf in jax.tree.leaves(body)} == {np.dtype(np.float64)}
 
 
+def test_three_moments_are_the_diagonal():
+    moments = np.array([0.3, 0.4, 0.5])
+    np.testing.assert_array_equal(RigidBody.create(moments).inertia, np.diag(moments))
+    got = jax.jit(lambda m: RigidBody.create(m).inverse)(moments)
+    np.testing.assert_allclose(got, np.diag(1 / moments), rtol=1e-14)
+
+
+def test_moments_of_no_body_fly_when_they_are_meant():
+    """A flat plate is the border; tables of dispersed moments may go beyond it."""
+    RigidBody.create([0.1, 0.2, 0.3])
+    with pytest.raises(ScenarioError, match="physical=False"):
+        RigidBody.create([0.1, 0.2, 0.3001])
+    assert RigidBody.create([1.0, 0.1, 0.1], physical=False).inertia[0, 0] == 1
+
+
+@pytest.mark.parametrize("wheels", [np.zeros(3), np.zeros(0)])
+def test_wrong_numbers_of_wheels_are_named(wheels):
+    x = BodyState(np.array([1.0, 0, 0, 0]), np.zeros(3), wheels)
+    with pytest.raises(ScenarioError, match=r"wheels has shape \(.*give \(4,\)"):
+        with_wheels().derivative(x, np.zeros(4), FreeSpace().at(0.0))
+    with pytest.raises(ScenarioError, match=r"motor torques has shape \(3,\): give \(4,\)"):
+        with_wheels().derivative(x._replace(wheels=np.zeros(4)), np.zeros(3), FreeSpace().at(0.0))
+
+
 SKEW, NEGATIVE = FULL + 0.1 * np.eye(3, k=1), np.diag([1.0, 1.0, -1.0])
 
 
@@ -191,7 +215,8 @@ SKEW, NEGATIVE = FULL + 0.1 * np.eye(3, k=1), np.diag([1.0, 1.0, -1.0])
         ({"inertia": SKEW}, "inertia must be symmetric"),
         ({"inertia": NEGATIVE}, "inertia without the rotors must be positive definite"),
         ({"inertia": np.diag([1e-4, 1.0, 1.0])}, "inertia without the rotors must be positive definite"),
-        ({"inertia": np.ones(3)}, r"inertia must have shape \(3, 3\)"),
+        ({"inertia": np.ones(2)}, r"inertia must have shape \(3, 3\)"),
+        ({"inertia": np.diag([1.0, 0.1, 0.1])}, "inertia has the principal moments 0.1, 0.1, 1 .* no body has"),
         ({"inertia": FULL * np.nan}, "inertia must be finite"),
         ({"inertia": FULL + 0j}, "inertia must be real numbers"),
         ({"wheel_axes": 2 * PYRAMID}, "wheel_axes must be unit columns"),
