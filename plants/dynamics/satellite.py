@@ -1,0 +1,234 @@
+"""A rigid body with everything that turns satellites: wheels as sold, magnetorquers, thrusters, moment gyroscopes.
+
+The equations are those of `RigidBody`, with the friction of the rotors added to the torques of their motors, and with
+the torques of imbalance, coils, thrusters and gyroscopes on the body. The plant's input is
+
+    u = [torques of the n motors on the wheels (N m) | rates of the m gimbals (rad/s) | dipole moment (3,) A m^2 |
+         torque of the thrusters on the body (3,) N m]
+
+of which only those parts are there that the satellite has. `plants.hardware.effectors.Effectors` makes it of a command.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from plants.checks import Numbers, real, unit
+from plants.dynamics.cmgs import Cmgs
+from plants.dynamics.rigidbody import BodyState, RigidBody, state_from
+from plants.dynamics.rotors import TURN, Friction, Imbalance, column
+from plants.errors import ScenarioError
+from plants.geometry import attitude
+from plants.simulation import blocks
+from plants.simulation.loop import Environment
+from plants.simulation.programs import Program
+from plants.surroundings.disturbances import Disturbance
+from plants.surroundings.environment import OrbitEnv
+
+
+class SatelliteState(NamedTuple):
+    """State of a satellite with n wheels and m moment gyroscopes."""
+
+    q: ArrayLike  # (4,) attitude of the body relative to frame N
+    w: ArrayLike  # (3,) rad/s, inertial rate in body axes
+    wheels: ArrayLike  # (n,) rad/s, wheel speeds relative to the body
+    phase: ArrayLike  # (n,) rad, of the rotors in [0, 2 pi); (0,) if they are balanced
+    gimbals: ArrayLike  # (m,) rad, gimbal angles
+
+
+class Effort(NamedTuple):
+    """The plant's input in its parts."""
+
+    motors: Array  # (n,) N m
+    rates: Array  # (m,) rad/s
+    dipole: Array  # (3,) A m^2, body axes; zeros without magnetorquers
+    torque: Array  # (3,) N m, body axes; zeros without thrusters
+
+
+@partial(
+    blocks.node,
+    data_fields=["body", "friction", "imbalance", "cmgs", "fastest"],
+    meta_fields=["magnetorquers", "thrusters"],
+)
+@dataclass(frozen=True, kw_only=True)
+class Satellite:
+    """A rigid body with several kinds of effector. Build it with `Satellite.create`.
+
+    With magnetorquers the environment must model the magnetic field.
+    """
+
+    body: RigidBody
+    friction: Friction | None
+    imbalance: Imbalance | None
+    cmgs: Cmgs | None
+    fastest: Numbers  # () rad/s, the highest speed of a wheel
+    magnetorquers: bool
+    thrusters: bool
+
+    @classmethod
+    def create(
+        cls,
+        inertia: ArrayLike,
+        *,
+        wheels: Sequence[Any] = (),
+        magnetorquers: bool = False,
+        thrusters: bool = False,
+        cmgs: Cmgs | None = None,
+        disturbances: tuple[Disturbance, ...] = (),
+        physical: bool = True,
+    ) -> "Satellite":
+        """A satellite from its numbers.
+
+        Parameters
+        ----------
+        inertia : (3, 3) kg m^2, or (3,) its diagonal, with the wheels at rest relative to the body
+        wheels : data sheets, such as `plants.hardware.wheels.Wheel`; they may differ from each other
+        magnetorquers, thrusters : whether the input has their dipole moment, their torque
+        cmgs : a cluster of moment gyroscopes
+        disturbances, physical : as in `RigidBody.create`
+
+        Raises
+        ------
+        ScenarioError
+            What `RigidBody.create` refuses; no effector at all.
+        """
+        wheels = tuple(wheels)
+        if not (wheels or magnetorquers or thrusters or cmgs):
+            raise ScenarioError("nothing turns the satellite: give wheels, magnetorquers, thrusters or cmgs")
+        body = RigidBody.create(
+            inertia,
+            wheel_axes=column(wheels, "axis") if wheels else None,
+            wheel_inertia=column(wheels, "inertia") if wheels else None,
+            disturbances=disturbances,
+            physical=physical,
+        )
+        return cls(
+            body=body,
+            friction=Friction.of(wheels) if wheels else None,
+            imbalance=Imbalance.of(wheels) if wheels else None,
+            cmgs=cmgs,
+            fastest=column(wheels, "max_speed").max() if wheels else np.zeros(()),
+            magnetorquers=bool(magnetorquers),
+            thrusters=bool(thrusters),
+        )
+
+    @property
+    def sizes(self) -> tuple[int, int, int, int]:
+        """Entries of the input that are torques of motors, gimbal rates, dipole moment, torque of thrusters."""
+        m = 0 if self.cmgs is None else self.cmgs.gimbals.shape[1]
+        return self.body.wheel_axes.shape[1], m, 3 * self.magnetorquers, 3 * self.thrusters
+
+    @property
+    def longest_step(self) -> float:
+        """Longest Runge-Kutta step, s, that friction and imbalance allow; inf without them."""
+        with jax.enable_x64(True):
+            rest = np.inf if self.friction is None else float(self.friction.step(self.body.wheel_inertia))
+        turn = np.inf if self.imbalance is None else 2 * np.pi / float(self.fastest) / TURN
+        return min(rest, turn)
+
+    def split(self, u: ArrayLike) -> Effort:
+        """The parts of an input; ScenarioError if it has another length."""
+        u, (n, m, c, t) = jnp.asarray(u), self.sizes
+        if u.shape != (n + m + c + t,):
+            raise ScenarioError(
+                f"the input has shape {u.shape}: give {n} motor torques, {m} gimbal rates, {c} of a dipole moment and "
+                f"{t} of a torque, in this order"
+            )
+        motors, rates, dipole, torque = jnp.split(u, [n, n + m, n + m + c])
+        return Effort(motors, rates, dipole if c else jnp.zeros(3), torque if t else jnp.zeros(3))
+
+    def derivative(self, x: SatelliteState, u: ArrayLike, env: OrbitEnv) -> SatelliteState:
+        """Time derivative of the state under an input u (see `split`).
+
+        Raises
+        ------
+        ScenarioError
+            A state or an input for other numbers of wheels or gyroscopes.
+        """
+        part, (n, m, _, _) = self.split(u), self.sizes
+        turning = (0 if self.imbalance is None else n,)
+        for name, value, shape in (
+            ("wheels", x.wheels, (n,)),
+            ("gimbals", x.gimbals, (m,)),
+            ("phase", x.phase, turning),
+        ):
+            if jnp.shape(value) != shape:
+                raise ScenarioError(f"{name} of the state has shape {jnp.shape(value)}: give {shape}")
+        motors, torque = part.motors, part.torque
+        stored: ArrayLike = 0.0
+        if self.friction is not None:
+            motors = motors + self.friction.torque(x.wheels)
+        if self.imbalance is not None:
+            torque = torque + self.imbalance.torque(x.wheels, x.phase)
+        if self.magnetorquers:
+            torque = torque + attitude.cross(part.dipole, attitude.rotate(x.q, env.B))
+        if self.cmgs is not None:
+            stored = self.cmgs.momentum(x.gimbals)
+            torque = torque - self.cmgs.jacobian(x.gimbals) @ part.rates
+        moved = self.body.motion(BodyState(x.q, x.w, x.wheels), motors, torque, env, stored)
+        phase = jnp.zeros(0) if self.imbalance is None else jnp.asarray(x.wheels)
+        return SatelliteState(*moved, phase=phase, gimbals=part.rates)
+
+    def momentum(self, x: SatelliteState) -> Array:
+        """Angular momentum in body axes, of the body, its wheels and its gyroscopes, (3,) N m s."""
+        held = self.body.momentum(BodyState(x.q, x.w, x.wheels))
+        return held if self.cmgs is None else held + self.cmgs.momentum(x.gimbals)
+
+    def output(self, x: SatelliteState, env: OrbitEnv) -> Array:
+        """(6,) [q; w] relative to frame O of the environment, as `RigidBody.output`."""
+        return self.body.output(BodyState(x.q, x.w, x.wheels), env)
+
+    def error(self, y: ArrayLike, r: ArrayLike) -> Array:
+        """How far an output y (6,) is from a reference r (6,), as `RigidBody.error`."""
+        return self.body.error(y, r)
+
+    def project(self, x: SatelliteState) -> SatelliteState:
+        """The state with its quaternion scaled to unit length and its phases within a turn."""
+        return x._replace(q=attitude.normalise(x.q), phase=jnp.mod(jnp.asarray(x.phase), 2 * jnp.pi))
+
+    def state(
+        self,
+        q_OB: ArrayLike,
+        w_OB: ArrayLike,
+        environment: Environment,
+        *,
+        t: float = 0.0,
+        wheels: ArrayLike | None = None,
+        gimbals: ArrayLike | None = None,
+    ) -> SatelliteState:
+        """State of the satellite whose attitude and rate are known relative to frame O, NumPy.
+
+        Parameters
+        ----------
+        q_OB : (4,) unit quaternion
+        w_OB : (3,) rad/s, body axes
+        environment : its surroundings, `at(t)`
+        t : () s
+        wheels : (n,) rad/s; at rest by default
+        gimbals : (m,) rad; zeros by default
+
+        Raises
+        ------
+        ScenarioError
+            Wrong shapes, NaN, a quaternion that is not of unit length.
+        """
+        n, m, _, _ = self.sizes
+        q, w = unit("q_OB", q_OB, (4,)), real("w_OB", w_OB, (3,))
+        speeds = real("wheels", np.zeros(n) if wheels is None else wheels, (n,))
+        angles = real("gimbals", np.zeros(m) if gimbals is None else gimbals, (m,))
+        blocks.register(environment)
+        with jax.enable_x64(True):
+            body = [np.asarray(part) for part in _place(environment, np.asarray(float(t)), q, w, speeds)]
+        return SatelliteState(*body, phase=np.zeros(0 if self.imbalance is None else n), gimbals=angles)
+
+
+@Program
+def _place(environment: Any, t: Array, q: Array, w: Array, speeds: Array) -> BodyState:
+    return state_from(q, w, speeds, environment.at(t))
