@@ -127,7 +127,10 @@ class Satellite:
 
     @property
     def longest_step(self) -> float:
-        """Longest Runge-Kutta step, s, that friction and imbalance allow; inf without them."""
+        """Longest Runge-Kutta step, s, that friction and imbalance allow; inf without them.
+
+        Raise `Scenario.samples` to come below it: the steps within a sample are compiled one by one.
+        """
         with jax.enable_x64(True):
             rest = np.inf if self.friction is None else float(self.friction.step(self.body.wheel_inertia))
         turn = np.inf if self.imbalance is None else 2 * np.pi / float(self.fastest) / TURN

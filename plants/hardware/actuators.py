@@ -1,5 +1,7 @@
 """Actuators: from the torque a controller asks for to the torque the motors give.
 
+These wheels have limits only; `plants.hardware.wheels.WheelArray` has what data sheets say.
+
 A delay between command and action belongs to the loop (`plants.simulation.simulate.Loop.delay`), not to the wheels.
 """
 
@@ -11,7 +13,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from plants.checks import Numbers, real
+from plants.checks import Numbers, each, positive, unit
 from plants.dynamics.rigidbody import BodyState
 from plants.errors import ScenarioError
 from plants.simulation import blocks
@@ -44,20 +46,17 @@ class ReactionWheels:
         Parameters
         ----------
         axes : (3, n) unit spin axes in body axes, as columns
-        torque_limit : () N m, of each motor
-        speed_limit : () rad/s, of each wheel relative to the body
+        torque_limit : () or (n,) N m, of all motors or of each
+        speed_limit : () or (n,) rad/s, of all wheels or of each, relative to the body
 
         Raises
         ------
         ScenarioError
-            Wrong shapes, NaN, axes that do not span space, limits that are not positive.
+            Wrong shapes, NaN, axes that are not unit vectors or do not span space, limits that are not positive.
         """
-        G = real("axes", axes, (3, None))
-        limits = {}
+        G, limits = unit("axes", axes, (3, None)), {}
         for name, limit in (("torque_limit", torque_limit), ("speed_limit", speed_limit)):
-            if not real(name, limit, infinite=True) > 0:
-                raise ScenarioError(f"{name} must be positive, got {limit}; leave it out for no limit")
-            limits[name] = np.full(G.shape[1], float(np.asarray(limit)))
+            limits[name] = each(name, limit, G.shape[1], positive, infinite=True)
         if np.linalg.matrix_rank(G) < 3:
             raise ScenarioError(f"axes must span space, got {G.tolist()}: three independent columns at least")
         return cls(distribution=-np.linalg.pinv(G), **limits)

@@ -16,6 +16,7 @@ from scipy.optimize import nnls
 from plants.errors import ScenarioError
 
 MOST = 2000  # maps in a list
+ROUNDING = 1e-9  # () relative, of shares that are the same
 SINGULAR = 1e-9  # () of the least to the largest singular value, below which a basis is none
 
 
@@ -51,9 +52,7 @@ def least_largest(effects: np.ndarray, limits: np.ndarray) -> np.ndarray:
 
 
 def least_total(effects: np.ndarray) -> np.ndarray:
-    """Maps (k, n, 3) of which, for any torque, one has no negative share and the least total.
-
-    At the optimum three devices at most work.
+    """Maps (k, n, 3) of which, for any torque, one has no negative share and the least total: three devices work.
 
     Raises
     ------
@@ -87,12 +86,12 @@ def smallest(maps: ArrayLike, torque: ArrayLike, limits: ArrayLike) -> Array:
 
 
 def cheapest(maps: ArrayLike, torque: ArrayLike) -> Array:
-    """Shares (n,) >= 0 of a torque (3,) by the map with the least total."""
+    """Shares (n,) >= 0 of a torque (3,) of least total: the mean of the maps that have it, so that couples work."""
     shares = jnp.asarray(maps) @ torque
     size = jnp.max(jnp.abs(shares), axis=1)
-    allowed = jnp.min(shares, axis=1) >= -1e-9 * size
-    best = jnp.argmin(jnp.where(allowed, jnp.sum(shares, axis=1), jnp.inf))
-    return jnp.maximum(shares[best], 0.0)
+    total = jnp.where(jnp.min(shares, axis=1) >= -ROUNDING * size, jnp.sum(shares, axis=1), jnp.inf)
+    best = jnp.where(total <= jnp.min(total) * (1 + ROUNDING), 1.0, 0.0)
+    return jnp.maximum(best @ shares / jnp.sum(best), 0.0)
 
 
 def _regular(matrix: np.ndarray) -> bool:
