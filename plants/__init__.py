@@ -5,6 +5,10 @@
                    `ground_track`, `target_position`, disturbance torques
     dynamics       `RigidBody`, `EulerBody`, `Station` (relative motion)
     hardware       `ReactionWheels`, `Thrusters`, `SunSensor`, `Magnetometer`, `Gyro`, ...
+    surroundings   `Orbit`, `CircularEnvironment` (field, Sun, eclipse, air), disturbance torques
+    dynamics       `RigidBody`, `Satellite` (with all that turns it), `EulerBody`, `Station` (relative motion)
+    hardware       `equip` makes plant and actuator of data sheets (`Wheel`, `Magnetorquers`, `AttitudeThrusters`,
+                   `CmgSteering`); `ReactionWheels`, `Thrusters`, `SunSensor`, `Magnetometer`, `Gyro`, ...
     estimation     `ekf`, `svd_navigator`, `kalman`, `station_ekf`
     guidance       commanded frames (`Nadir`, `Pointing`, `Profile`), `Schedule` and `Guided`, `mode` and `sequence`
     simulation     `Loop` and `Scenario` go into `simulate`, `simulate_many`, `campaign`, `worst_flights`, `linearize`;
@@ -21,6 +25,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from plants.dynamics.cmgs import Cmgs as Cmgs
     from plants.dynamics.eulerbody import EulerBody as EulerBody
     from plants.dynamics.eulerbody import EulerState as EulerState
     from plants.dynamics.eulerbody import RandomTorque as RandomTorque
@@ -31,6 +36,8 @@ if TYPE_CHECKING:
     from plants.dynamics.rigidbody import BodyState as BodyState
     from plants.dynamics.rigidbody import RigidBody as RigidBody
     from plants.dynamics.rigidbody import state_from as state_from
+    from plants.dynamics.satellite import Satellite as Satellite
+    from plants.dynamics.satellite import SatelliteState as SatelliteState
     from plants.errors import EngineError as EngineError
     from plants.errors import PlantError as PlantError
     from plants.errors import ScenarioError as ScenarioError
@@ -75,7 +82,22 @@ if TYPE_CHECKING:
     from plants.guidance.sequences import Sequence as Sequence
     from plants.guidance.sequences import commanded_record as commanded_record
     from plants.guidance.sequences import sequence as sequence
+    from plants.guidance.magnetic import CrossProductDumping as CrossProductDumping
+    from plants.guidance.magnetic import LqrDumping as LqrDumping
+    from plants.guidance.magnetic import bdot as bdot
+    from plants.guidance.magnetic import bdot_gain as bdot_gain
+    from plants.guidance.magnetic import cross_product as cross_product
+    from plants.guidance.magnetic import field_rate as field_rate
     from plants.hardware.actuators import ReactionWheels as ReactionWheels
+    from plants.hardware.attitudethrusters import AttitudeThrusters as AttitudeThrusters
+    from plants.hardware.attitudethrusters import Pwm as Pwm
+    from plants.hardware.attitudethrusters import Pwpf as Pwpf
+    from plants.hardware.attitudethrusters import Schmitt as Schmitt
+    from plants.hardware.attitudethrusters import ThrusterState as ThrusterState
+    from plants.hardware.cmgsteering import CmgSteering as CmgSteering
+    from plants.hardware.effectors import Effectors as Effectors
+    from plants.hardware.effectors import equip as equip
+    from plants.hardware.magnetorquers import Magnetorquers as Magnetorquers
     from plants.hardware.sensors import AngleRate as AngleRate
     from plants.hardware.sensors import AngleRateSuite as AngleRateSuite
     from plants.hardware.sensors import AttitudeSuite as AttitudeSuite
@@ -85,6 +107,8 @@ if TYPE_CHECKING:
     from plants.hardware.sensors import attitude_suite as attitude_suite
     from plants.hardware.thrusters import PulsedThrusters as PulsedThrusters
     from plants.hardware.thrusters import Thrusters as Thrusters
+    from plants.hardware.wheels import Wheel as Wheel
+    from plants.hardware.wheels import WheelArray as WheelArray
     from plants.missions import airbearing as airbearing
     from plants.missions import amazonia1 as amazonia1
     from plants.missions import cubesat3u as cubesat3u
@@ -192,12 +216,15 @@ _HOME = {  # of a name; modules are their own home
     "AngleRateSuite": "hardware.sensors",
     "Atmosphere": "surroundings.atmosphere",
     "AttitudeSuite": "hardware.sensors",
+    "AttitudeThrusters": "hardware.attitudethrusters",
     "BodyState": "dynamics.rigidbody",
     "Budget": "outcome.budgets",
     "Campaign": "simulation.campaign",
     "Card": "outcome.report",
     "CircularEnvironment": "surroundings.environment",
     "Claim": "outcome.report",
+    "CmgSteering": "hardware.cmgsteering",
+    "Cmgs": "dynamics.cmgs",
     "ConstantTorque": "surroundings.disturbances",
     "Controller": "simulation.loop",
     "Detumbling": "guidance.laws",
@@ -205,6 +232,10 @@ _HOME = {  # of a name; modules are their own home
     "Drag": "surroundings.disturbances",
     "DragForce": "surroundings.forces",
     "EarthShape": "surroundings.forces",
+    "CrossProductDumping": "guidance.magnetic",
+    "Disturbance": "surroundings.disturbances",
+    "Drag": "surroundings.disturbances",
+    "Effectors": "hardware.effectors",
     "Ekf": "estimation.navigation",
     "Elements": "surroundings.orbit",
     "EngineError": "errors",
@@ -232,11 +263,13 @@ _HOME = {  # of a name; modules are their own home
     "Look": "surroundings.ground",
     "Loop": "simulation.loop",
     "LoopModel": "simulation.loopmodel",
+    "LqrDumping": "guidance.magnetic",
     "Magnetometer": "hardware.sensors",
     "Mode": "guidance.modes",
     "Nadir": "guidance.frames",
     "MoonGravity": "surroundings.forces",
     "Msis": "surroundings.msis",
+    "Magnetorquers": "hardware.magnetorquers",
     "Navigator": "simulation.loop",
     "Oblateness": "surroundings.orbit",
     "Observability": "estimation.tracking",
@@ -251,6 +284,8 @@ _HOME = {  # of a name; modules are their own home
     "Profile": "guidance.frames",
     "PressureForce": "surroundings.forces",
     "PulsedThrusters": "hardware.thrusters",
+    "Pwm": "hardware.attitudethrusters",
+    "Pwpf": "hardware.attitudethrusters",
     "RandomTorque": "dynamics.eulerbody",
     "RawAngles": "estimation.kalman",
     "ReactionWheels": "hardware.actuators",
@@ -258,9 +293,12 @@ _HOME = {  # of a name; modules are their own home
     "ResidualDipole": "surroundings.disturbances",
     "RigidBody": "dynamics.rigidbody",
     "Run": "simulation.loop",
+    "Satellite": "dynamics.satellite",
+    "SatelliteState": "dynamics.satellite",
     "Scenario": "simulation.loop",
     "ScenarioError": "errors",
     "Schedule": "guidance.guided",
+    "Schmitt": "hardware.attitudethrusters",
     "Section": "outcome.report",
     "Sensors": "simulation.loop",
     "Sequence": "guidance.sequences",
@@ -282,6 +320,7 @@ _HOME = {  # of a name; modules are their own home
     "SvdNavigator": "estimation.navigation",
     "Sweep": "simulation.sweep",
     "Table": "outcome.study",
+    "ThrusterState": "hardware.attitudethrusters",
     "Thrusters": "hardware.thrusters",
     "ToEarth": "guidance.directions",
     "ToSun": "guidance.directions",
@@ -289,12 +328,17 @@ _HOME = {  # of a name; modules are their own home
     "TorqueEnv": "dynamics.eulerbody",
     "Unfiltered": "estimation.tracking",
     "Verdict": "outcome.study",
+    "Wheel": "hardware.wheels",
+    "WheelArray": "hardware.wheels",
+    "WorstFlights": "simulation.worstflights",
     "WorstBudget": "outcome.worstbudget",
     "WorstFlights": "simulation.worstflights",
     "airbearing": "missions.airbearing",
     "amazonia1": "missions.amazonia1",
     "attitude": "geometry.attitude",
     "attitude_suite": "hardware.sensors",
+    "bdot": "guidance.magnetic",
+    "bdot_gain": "guidance.magnetic",
     "blocks": "simulation.blocks",
     "budget": "outcome.budgets",
     "campaign": "simulation.campaign",
@@ -304,12 +348,15 @@ _HOME = {  # of a name; modules are their own home
     "circular": "surroundings.orbit",
     "clopper_pearson": "outcome.indices",
     "commanded_record": "guidance.sequences",
+    "cross_product": "guidance.magnetic",
     "cubesat3u": "missions.cubesat3u",
     "draw": "simulation.campaign",
     "drawings": "outcome.study",
     "either": "outcome.study",
     "ekf": "estimation.navigation",
     "elements": "surroundings.orbit",
+    "equip": "hardware.effectors",
+    "field_rate": "guidance.magnetic",
     "figures": "outcome.figures",
     "geo": "missions.geo",
     "ground_track": "surroundings.ground",
