@@ -1,14 +1,13 @@
 """Attitude determination: smoothing filter, Wahba's problem, and an extended Kalman filter.
 
-References: Markley and Crassidis (2014), Fundamentals of Spacecraft Attitude Determination and Control,
-chapters 5 and 6; Markley (2002), Fast quaternion attitude estimation from two vector measurements;
-Pecorilla and Stesina (2024), section 2.2, whose eq. 8 are the nine states of the filter.
+References: Markley and Crassidis (2014), Fundamentals of Spacecraft Attitude Determination and Control, chapters 5
+and 6; Pecorilla and Stesina (2024), section 2.2, whose eq. 8 are the nine states of the filter.
 
 Frame O is the frame of reference (orbital, see `plants.surroundings.environment`), B the body. Every navigator returns
 the estimate [vector part of q_OB with scalar part >= 0; w_OB in body axes (rad/s)], (6,).
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
@@ -21,60 +20,9 @@ from numpy.typing import ArrayLike as Numbers
 from plants.checks import real
 from plants.dynamics.rigidbody import BodyState, RigidBody
 from plants.errors import ScenarioError
+from plants.estimation.wahba import wahba_covariance, wahba_pair
 from plants.geometry import attitude
-from plants.hardware.sensors import AttitudeSuite, Measurement
-
-PARALLEL = 1e-6  # () sine of the angle between two directions below which they fix no attitude
-
-
-def wahba_svd(body: ArrayLike, reference: ArrayLike, weights: ArrayLike) -> Array:
-    """Least-squares attitude from n >= 2 directions, by singular value decomposition.
-
-    Minimises sum w_i |b_i - A r_i|^2 over rotations A. Markley and Crassidis (2014), eq. 5.21 to 5.26.
-
-    Parameters
-    ----------
-    body, reference : (n, 3) directions in the two frames
-    weights : (n,) positive, such as inverse variances
-
-    Returns
-    -------
-    Array
-        (3, 3) direction cosine matrix, from the frame of reference to the body.
-    """
-    b, r, w = jnp.asarray(body), jnp.asarray(reference), jnp.asarray(weights)
-    U, _, Vt = jnp.linalg.svd((w[:, None] * b).T @ r)
-    last = jnp.linalg.det(U) * jnp.linalg.det(Vt)
-    return (U * jnp.array([1.0, 1.0, 0.0]) + U * jnp.array([0.0, 0.0, 1.0]) * last) @ Vt
-
-
-def wahba_pair(body: ArrayLike, reference: ArrayLike, weights: ArrayLike) -> tuple[Array, Array]:
-    """Least-squares attitude from two directions in closed form: the same optimum as `wahba_svd`.
-
-    Markley (2002): the optimal rotation turns r1 x r2 into b1 x b2 exactly, and blends the two triads with
-    a_i / lambda, lambda^2 = a1^2 + a2^2 + 2 a1 a2 [(b1.b2)(r1.r2) + |b1 x b2| |r1 x r2|].
-
-    Parameters
-    ----------
-    body, reference : (2, 3) directions of any length in the two frames
-    weights : (2,) positive
-
-    Returns
-    -------
-    matrix : (3, 3) from the frame of reference to the body, finite in any case
-    determined : () bool, False where a vector is zero or the two are parallel: the matrix then means nothing
-    """
-    b, r, a = _unit(body), _unit(reference), jnp.asarray(weights)
-    b3, r3 = attitude.cross(b[0], b[1]), attitude.cross(r[0], r[1])
-    sine_b, sine_r = _length(b3), _length(r3)
-    determined = (sine_b > PARALLEL) & (sine_r > PARALLEL)
-    b3, r3 = b3 / jnp.where(determined, sine_b, 1.0), r3 / jnp.where(determined, sine_r, 1.0)
-    cosines = attitude.dot(b[0], b[1]) * attitude.dot(r[0], r[1]) + sine_b * sine_r
-    scale = a / jnp.sqrt(a[0] ** 2 + a[1] ** 2 + 2 * a[0] * a[1] * cosines)
-    across_b, across_r = attitude.cross(b, b3), attitude.cross(r, r3)
-    A = scale[0] * (jnp.outer(b[0], r[0]) + jnp.outer(across_b[0], across_r[0]))
-    A += scale[1] * (jnp.outer(b[1], r[1]) + jnp.outer(across_b[1], across_r[1]))
-    return A + jnp.outer(b3, r3), determined
+from plants.hardware.sensors import AttitudeSuite, Measurement, deviation
 
 
 class Smoothing(NamedTuple):
@@ -131,6 +79,61 @@ class SvdNavigator:
         return SvdState(smoothing, q), _estimate(q, y.rate, env)
 
 
+class Innovation(NamedTuple):
+    """What m scalars tell of an attitude, to first order; the error is the vector part of a quaternion."""
+
+    z: Array  # (m,) measured less expected
+    H: Array  # (m, 3) its slope
+    R: Array  # (m,) variances
+    known: Array  # (m,) 1 for a row that carries information, 0 for none
+
+
+@dataclass(frozen=True, kw_only=True)
+class VectorsThemselves:
+    """Correction by the vectors to the Sun and of the field, of which the field remains in eclipse."""
+
+    sun_noise: ArrayLike  # () rad
+    field_noise: ArrayLike  # () T
+
+    def innovation(self, s: "EkfState", y: Measurement, env: Any) -> Innovation:
+        """Vectors measured less expected, (6,)."""
+        ones = jnp.ones(3)
+        sun, B = (attitude.rotate(s.q, v) for v in _in_orbital_frame(env))
+
+        def expected(a: Array) -> Array:
+            q = _error_quaternion(a)
+            return jnp.concatenate([attitude.rotate(q, sun), attitude.rotate(q, B)])
+
+        return Innovation(
+            z=jnp.concatenate([y.sun - sun, y.field - B]),
+            H=jax.jacfwd(expected)(jnp.zeros(3)),
+            R=jnp.concatenate([self.sun_noise**2 * ones, self.field_noise**2 * ones]),
+            known=jnp.concatenate([y.sun_seen * ones, ones]),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class WahbaSolution:
+    """Correction by the solution of Wahba's problem, the scheme of the reference; nothing in eclipse."""
+
+    sun_noise: ArrayLike  # () rad
+    field_noise: ArrayLike  # () T
+    attitude_noise: ArrayLike | None  # () vector part of a quaternion; None for the covariance of the solution
+
+    def innovation(self, s: "EkfState", y: Measurement, env: Any) -> Innovation:
+        """Vector part (3,) from the estimate to the solution, in units of its deviation where that is computed."""
+        q, determined = vector_attitude(s.smoothing, self.sun_noise, self.field_noise, env)
+        z = attitude.positive(attitude.compose(q, attitude.conjugate(s.q)))[1:]
+        ones, known = jnp.ones(3), determined * y.sun_seen * jnp.ones(3)
+        if self.attitude_noise is not None:
+            return Innovation(z, jnp.eye(3), jnp.asarray(self.attitude_noise) ** 2 * ones, known)
+        sun, B = _in_orbital_frame(env)
+        deviations = jnp.stack([jnp.asarray(self.sun_noise), self.field_noise / jnp.sqrt(attitude.dot(B, B))])
+        P = wahba_covariance(attitude.rotate(q[None], jnp.stack([sun, B])), deviations) / 4
+        W = jnp.linalg.inv(jnp.linalg.cholesky(jnp.where(determined, P, jnp.eye(3))))
+        return Innovation(W @ z, W, ones, known)
+
+
 class EkfState(NamedTuple):
     """State of `Ekf`: eq. 8 with the quaternion whole."""
 
@@ -151,15 +154,12 @@ class Ekf:
     The rate is propagated by Euler's equation with the measured wheel speeds and the torques that acted. All
     Jacobians are derived by `jax.jacfwd`.
 
-    Attitude enters as the vector solution of Wahba's problem (the scheme of the reference; nothing in eclipse),
-    or, with `direct`, as the Sun and field vectors themselves, of which the field remains in eclipse.
+    Attitude enters through `vectors`: as the solution of Wahba's problem, or as the Sun and field vectors themselves.
     """
 
     body: RigidBody  # what the filter believes of the spacecraft; its disturbances, if any, are predicted too
-    sun_noise: ArrayLike  # () rad
-    field_noise: ArrayLike  # () T
-    gyro_noise: ArrayLike  # () rad/s
-    attitude_noise: ArrayLike  # () vector part of a quaternion, of the solution of Wahba's problem
+    vectors: WahbaSolution | VectorsThemselves
+    gyro_noise: ArrayLike  # () rad/s, of a sample
     torque_noise: ArrayLike  # () N m sqrt(s), root of the spectral density of unknown torques
     bias_walk: ArrayLike  # () rad/s/sqrt(s)
     q: ArrayLike  # (4,) first guess of q_OB
@@ -167,7 +167,12 @@ class Ekf:
     bias: ArrayLike  # (3,) rad/s, first guess
     deviation: ArrayLike  # (9,) of the first guess, as the diagonal of P^1/2
     window: int = 5  # samples of the moving average
-    direct: bool = field(default=False, metadata={"static": True})
+    gyro_random_walk: ArrayLike = 0.0  # () rad/sqrt(s), of the angle
+
+    @property
+    def direct(self) -> bool:
+        """Whether it is corrected by the vectors themselves."""
+        return isinstance(self.vectors, VectorsThemselves)
 
     def init(self) -> EkfState:
         """The first guess."""
@@ -179,7 +184,7 @@ class Ekf:
         """Predict over the h s during which u acted, then correct by the measurement: new state, estimate (6,)."""
         s = self.predict(s, y.wheels, u, env, h)._replace(smoothing=smooth(s.smoothing, y))
         # the barrier keeps XLA from predicting again in every one of the scalar updates
-        P, z, H, R, known = jax.lax.optimization_barrier((s.P, *self.innovation(s, y, env)))
+        P, z, H, R, known = jax.lax.optimization_barrier((s.P, *self.innovation(s, y, env, h)))
         e, P = scalar_updates(P, z, H, R, known)
         q = attitude.normalise(attitude.compose(_error_quaternion(e[:3]), s.q))
         s = s._replace(q=q, w=s.w + e[3:6], bias=s.bias + e[6:9], P=P)
@@ -208,32 +213,22 @@ class Ekf:
 
         return jax.jacfwd(rates)(jnp.zeros(6))
 
-    def innovation(self, s: EkfState, y: Measurement, env: Any) -> tuple[Array, Array, Array, Array]:
-        """Innovation z (m,), its Jacobian H (m, 9), variances R (m,), and which rows carry information (m,)."""
+    def innovation(
+        self, s: EkfState, y: Measurement, env: Any, h: ArrayLike = 1.0
+    ) -> tuple[Array, Array, Array, Array]:
+        """Innovation z (m,), its Jacobian H (m, 9), variances R (m,), and which rows carry information (m,).
+
+        The gyro is read every h s; what walks by angle only tells nothing before time has passed.
+        """
+        turn = self.vectors.innovation(s, y, env)
         rate = jnp.hstack([jnp.zeros((3, 3)), jnp.eye(3), jnp.eye(3)])
-        ones = jnp.ones(3)
-        if self.direct:
-            sun, B = (attitude.rotate(s.q, v) for v in _in_orbital_frame(env))
-
-            def expected(a: Array) -> Array:
-                q = _error_quaternion(a)
-                return jnp.concatenate([attitude.rotate(q, sun), attitude.rotate(q, B)])
-
-            turn = jax.jacfwd(expected)(jnp.zeros(3))
-            z = jnp.concatenate([y.sun - sun, y.field - B])
-            H = jnp.hstack([turn, jnp.zeros((6, 6))])
-            R = jnp.concatenate([self.sun_noise**2 * ones, self.field_noise**2 * ones])
-            known = jnp.concatenate([y.sun_seen * ones, ones])
-        else:
-            q, determined = vector_attitude(s.smoothing, self.sun_noise, self.field_noise, env)
-            z = attitude.positive(attitude.compose(q, attitude.conjugate(s.q)))[1:]
-            H, R = jnp.eye(3, 9), self.attitude_noise**2 * ones
-            known = determined * y.sun_seen * ones
+        read = jnp.where((jnp.asarray(self.gyro_random_walk) > 0) & (jnp.asarray(h) <= 0), 0.0, jnp.ones(3))
+        noise = deviation(self.gyro_noise, self.gyro_random_walk, h)
         return (
-            jnp.concatenate([z, y.rate - s.w - s.bias]),
-            jnp.vstack([H, rate]),
-            jnp.concatenate([R, self.gyro_noise**2 * ones]),
-            jnp.concatenate([known, ones]),
+            jnp.concatenate([turn.z, y.rate - s.w - s.bias]),
+            jnp.vstack([jnp.hstack([turn.H, jnp.zeros((turn.z.shape[0], 6))]), rate]),
+            jnp.concatenate([turn.R, noise**2 * jnp.ones(3)]),
+            jnp.concatenate([turn.known, read]),
         )
 
     def _propagate(self, q: Array, w: Array, wheels: Array, u: Array, env: Any, h: Any) -> tuple[Array, Array]:
@@ -254,6 +249,12 @@ class Ekf:
 
 
 def scalar_updates(P: Array, z: Array, H: Array, R: Array, known: Array) -> tuple[Array, Array]:
+    """Kalman correction by m independent scalar measurements: `tested_updates` without the test."""
+    e, P, _ = tested_updates(P, z, H, R, known)
+    return e, P
+
+
+def tested_updates(P: Array, z: Array, H: Array, R: Array, known: Array) -> tuple[Array, Array, Array]:
     """Kalman correction by m independent scalar measurements, one after the other.
 
     Equal to the batch update with diagonal R. The covariance is updated by P - g p' - p g' + s g g' with p = P h
@@ -269,17 +270,20 @@ def scalar_updates(P: Array, z: Array, H: Array, R: Array, known: Array) -> tupl
     -------
     e : (n,) correction
     P : (n, n)
+    nis : () normalised innovation squared z' (H P H' + R)^-1 z of the valid rows
     """
-    e = jnp.zeros(P.shape[0])
+    e, nis = jnp.zeros(P.shape[0]), jnp.zeros(())
     for i in range(H.shape[0]):
         h = H[i]
         p = jnp.sum(P * h, axis=1)  # a sum of products compiles to half the time of P @ h
         s = jnp.sum(h * p) + R[i]
         g = known[i] * p / s
-        e = e + g * (z[i] - jnp.sum(h * e))
+        left = z[i] - jnp.sum(h * e)
+        nis = nis + known[i] * left**2 / s
+        e = e + g * left
         gp = g[:, None] * p[None]
         P = P - gp - gp.T + s * g[:, None] * g[None]
-    return e, P
+    return e, P, nis
 
 
 def svd_navigator(suite: AttitudeSuite, *, window: int = 5) -> SvdNavigator:
@@ -291,7 +295,7 @@ def ekf(
     body: RigidBody,
     suite: AttitudeSuite,
     *,
-    attitude_noise: float,
+    attitude_noise: float | None,
     torque_noise: float,
     bias_walk: float,
     q: Numbers = (1.0, 0.0, 0.0, 0.0),
@@ -307,7 +311,8 @@ def ekf(
     ----------
     body : the model of the spacecraft; leave its disturbances out to have them estimated as unknown torques
     suite : the sensors, of which the filter takes the noise
-    attitude_noise : () vector part of a quaternion, 1 sigma per axis of the solution of Wahba's problem
+    attitude_noise : () vector part of a quaternion, 1 sigma per axis of the solution of Wahba's problem; None for the
+        covariance that the solution has at each sample, which is right for a window of 1
     torque_noise : () N m sqrt(s), root of the spectral density of unknown torques, per axis
     bias_walk : () rad/s/sqrt(s), of the gyro
     q, w, bias : (4,), (3,) rad/s, (3,) rad/s, first guess of q_OB, inertial rate and gyro bias
@@ -323,12 +328,13 @@ def ekf(
     first = real("q", q, (4,))
     if abs(np.linalg.norm(first) - 1) > 1e-6:
         raise ScenarioError(f"q must be a unit quaternion, got {first.tolist()} of length {np.linalg.norm(first)}")
+    noises = {"sun_noise": suite.sun.noise, "field_noise": suite.magnetometer.noise}
+    solution = None if attitude_noise is None else real("attitude_noise", attitude_noise, low=0)
     return Ekf(
         body=body,
-        sun_noise=suite.sun.noise,
-        field_noise=suite.magnetometer.noise,
+        vectors=VectorsThemselves(**noises) if direct else WahbaSolution(**noises, attitude_noise=solution),
         gyro_noise=suite.gyro.noise,
-        attitude_noise=real("attitude_noise", attitude_noise, low=0),
+        gyro_random_walk=suite.gyro.random_walk,
         torque_noise=real("torque_noise", torque_noise, low=0),
         bias_walk=real("bias_walk", bias_walk, low=0),
         q=first,
@@ -336,7 +342,6 @@ def ekf(
         bias=real("bias", bias, (3,)),
         deviation=real("deviation", deviation, (9,), low=0),
         window=_checked_window(window),
-        direct=direct,
     )
 
 
@@ -367,16 +372,3 @@ def _error_quaternion(a: Array) -> Array:
     square = attitude.dot(a, a)
     scalar = jnp.sqrt(jnp.where(square < 1, 1 - square, 0.0))
     return attitude.normalise(jnp.concatenate([scalar[None], a]))
-
-
-def _length(v: Array) -> Array:
-    """Length along the last axis, with a gradient of zero at zero."""
-    square = attitude.dot(v, v)
-    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
-
-
-def _unit(v: ArrayLike) -> Array:
-    """Unit vectors along the last axis; a zero stays zero."""
-    v = jnp.asarray(v)
-    length = _length(v)[..., None]
-    return v / jnp.where(length > 0, length, 1.0)

@@ -118,6 +118,31 @@ def from_dcm(A: ArrayLike) -> Array:
     return positive(normalise(jnp.take_along_axis(table, best[..., None, None], axis=-2)[..., 0, :]))
 
 
+def from_vector(turn: ArrayLike) -> Array:
+    """Quaternion of a turn by |turn| rad about the axis turn / |turn|: (..., 3) -> (..., 4), differentiable at zero.
+
+    A body that turns at w rad/s, constant in its own axes, has after h s the attitude compose(from_vector(w h), q).
+    """
+    turn = jnp.asarray(turn)
+    square = dot(turn, turn)
+    small = square < 1e-4
+    length = jnp.sqrt(jnp.where(small, 1.0, square))
+    scalar = jnp.where(small, 1 - square / 8 + square**2 / 384, jnp.cos(length / 2))
+    factor = jnp.where(small, 0.5 - square / 48 + square**2 / 3840, jnp.sin(length / 2) / length)
+    return jnp.concatenate([scalar[..., None], factor[..., None] * turn], axis=-1)
+
+
+def to_vector(q: ArrayLike) -> Array:
+    """Turn of a unit quaternion the short way, of at most pi rad: (..., 4) -> (..., 3), differentiable at none."""
+    q0, qv = _split(positive(q))
+    q0, square = q0[..., 0], dot(qv, qv)
+    small = square < 1e-8
+    length = jnp.sqrt(jnp.where(small, 1.0, square))
+    slope = square / jnp.where(small, q0, 1.0) ** 2
+    factor = jnp.where(small, 2 / jnp.where(small, q0, 1.0) * (1 - slope / 3), 2 * jnp.arctan2(length, q0) / length)
+    return factor[..., None] * qv
+
+
 def from_euler(angles: ArrayLike) -> Array:
     """Quaternion of 3-2-1 Euler angles: (..., 3) roll, pitch, yaw in rad -> (..., 4).
 

@@ -1,7 +1,9 @@
 """Sensors of attitude and rate: sun sensor, magnetometer, gyro, wheel tachometers; Euler angles and rates at once.
 
 Each is the true quantity in body axes plus white noise, the same on the three axes and independent from sample
-to sample; the gyro adds a bias that walks. Sensors are aligned with the body and see in every direction.
+to sample; the gyro adds a bias that walks. Sensors are aligned with the body and see in every direction. Those that
+are sold, with fields of view, misalignments and rates of their own, are in the other files of this room and form a
+`plants.hardware.instruments.SensorSuite`.
 """
 
 from dataclasses import dataclass
@@ -13,6 +15,7 @@ from jax.typing import ArrayLike
 from numpy.typing import ArrayLike as Numbers
 
 from plants.checks import real
+from plants.errors import ScenarioError
 from plants.geometry import attitude
 
 DUSK = 0.5  # () visible fraction of the Sun below which the sun sensor gives no direction
@@ -55,13 +58,24 @@ class Magnetometer:
 class Gyro:
     """Inertial rate with a bias that walks."""
 
-    noise: ArrayLike  # () rad/s, 1 sigma per axis and sample
+    noise: ArrayLike  # () rad/s, 1 sigma per axis and sample, whatever the sampling rate
     bias: ArrayLike  # (3,) rad/s, at the start
     bias_walk: ArrayLike  # () rad/s/sqrt(s)
+    random_walk: ArrayLike = 0.0  # () rad/sqrt(s), of the angle: more noise in shorter samples
 
-    def measure(self, rate: Array, bias: Array, noise: Array) -> Array:
-        """Rate (3,) rad/s in body axes."""
-        return rate + bias + self.noise * noise
+    def measure(self, rate: Array, bias: Array, noise: Array, h: ArrayLike) -> Array:
+        """Rate (3,) rad/s in body axes, read every h s."""
+        return rate + bias + self.deviation(h) * noise
+
+    def deviation(self, h: ArrayLike) -> Array:
+        """1 sigma per axis of a sample, () rad/s; a random walk of the angle has none before time has passed."""
+        return deviation(self.noise, self.random_walk, h)
+
+
+def deviation(noise: ArrayLike, random_walk: ArrayLike, h: ArrayLike) -> Array:
+    """1 sigma () rad/s of a rate read every h s: `noise` rad/s, or `random_walk` rad/sqrt(s) over sqrt(h)."""
+    passed = jnp.asarray(h) > 0
+    return jnp.asarray(noise) + jnp.where(passed, random_walk / jnp.sqrt(jnp.where(passed, h, 1.0)), 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +106,7 @@ class AttitudeSuite:
             sun=sun,
             sun_seen=seen,
             field=self.magnetometer.measure(attitude.rotate(x.q, env.B), noise[3:6]),
-            rate=self.gyro.measure(x.w, bias, noise[6:9]),
+            rate=self.gyro.measure(x.w, bias, noise[6:9], h),
             wheels=x.wheels,
         )
 
@@ -101,7 +115,8 @@ def attitude_suite(
     *,
     sun_noise: float,
     magnetometer_noise: float,
-    gyro_noise: float,
+    gyro_noise: float | None = None,
+    gyro_random_walk: float | None = None,
     gyro_bias: Numbers = (0.0, 0.0, 0.0),
     gyro_bias_walk: float = 0.0,
 ) -> AttitudeSuite:
@@ -111,20 +126,26 @@ def attitude_suite(
     ----------
     sun_noise : () rad, 1 sigma per axis
     magnetometer_noise : () T, 1 sigma per axis
-    gyro_noise : () rad/s, 1 sigma per axis at the sampling rate of the scenario
+    gyro_noise : () rad/s, 1 sigma per axis at the sampling rate of the scenario: another rate needs another number
+    gyro_random_walk : () rad/sqrt(s), angle random walk, instead: right at every sampling rate
     gyro_bias : (3,) rad/s
     gyro_bias_walk : () rad/s/sqrt(s)
 
     Raises
     ------
     ScenarioError
-        Wrong shape, NaN or a negative deviation.
+        Wrong shape, NaN or a negative deviation; both or neither of `gyro_noise` and `gyro_random_walk`.
     """
+    if (gyro_noise is None) == (gyro_random_walk is None):
+        raise ScenarioError(
+            "gyro_noise and gyro_random_walk: give exactly one, of a sample (rad/s) or of the angle (rad/sqrt(s))"
+        )
     return AttitudeSuite(
         sun=SunSensor(noise=real("sun_noise", sun_noise, low=0)),
         magnetometer=Magnetometer(noise=real("magnetometer_noise", magnetometer_noise, low=0)),
         gyro=Gyro(
-            noise=real("gyro_noise", gyro_noise, low=0),
+            noise=real("gyro_noise", 0.0 if gyro_noise is None else gyro_noise, low=0),
+            random_walk=real("gyro_random_walk", 0.0 if gyro_random_walk is None else gyro_random_walk, low=0),
             bias=real("gyro_bias", gyro_bias, (3,)),
             bias_walk=real("gyro_bias_walk", gyro_bias_walk, low=0),
         ),
