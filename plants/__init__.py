@@ -14,6 +14,15 @@
     simulation     `Loop` and `Scenario` go into `simulate`, `simulate_many`, `campaign`, `worst_flights`, `linearize`;
                    a `Run` comes out; `Store` reads what a campaign has stored, `sweep` goes through designs
     outcome        `indices`, `budget`, `settling_time`, `run_plot`, `campaign_plot`; `report` and `study` make pages
+    hardware       `ReactionWheels`, `Thrusters`; `StarTracker`, `IntegratingGyro`, ... in a `SensorSuite`
+    estimation     `mekf` over any set of instruments, `ekf`, `svd_navigator`, `kalman`, `station_ekf`
+    simulation     `Loop` and `Scenario` go into `simulate`, `simulate_many`, `campaign`, `worst_flights`, `linearize`;
+                   a `Run` comes out; `Store` reads what a campaign has stored, `sweep` goes through designs
+    outcome        `indices`, `settling_time`, `run_plot`, `campaign_plot`; `report` and `study` make pages
+    simulation     `Loop` and `Scenario` go into `simulate`, `simulate_many`, `campaign`, `linearize`; a `Run` comes
+                   out; `Store` reads what a campaign has stored, `sweep` goes through designs
+    outcome        `indices`, `budget`, `nees`, `settling_time`, `run_plot`, `campaign_plot`; `report` and `study` make
+                   pages
     missions       `cubesat3u`, `amazonia1`, `airbearing`, `geo`: the numbers of the studies
 
 The names below are imported when they are first used, so that ``import plants`` costs nothing.
@@ -46,6 +55,9 @@ if TYPE_CHECKING:
     from plants.estimation.kalman import Kalman as Kalman
     from plants.estimation.kalman import RawAngles as RawAngles
     from plants.estimation.kalman import kalman as kalman
+    from plants.estimation.mekf import Mekf as Mekf
+    from plants.estimation.mekf import mekf as mekf
+    from plants.estimation.mekf import mekf_record as mekf_record
     from plants.estimation.navigation import Ekf as Ekf
     from plants.estimation.navigation import Smoothing as Smoothing
     from plants.estimation.navigation import SvdNavigator as SvdNavigator
@@ -57,6 +69,9 @@ if TYPE_CHECKING:
     from plants.estimation.tracking import Unfiltered as Unfiltered
     from plants.estimation.tracking import observability as observability
     from plants.estimation.tracking import station_ekf as station_ekf
+    from plants.estimation.wahba import wahba_covariance as wahba_covariance
+    from plants.estimation.wahba import wahba_pair as wahba_pair
+    from plants.estimation.wahba import wahba_svd as wahba_svd
     from plants.geometry import attitude as attitude
     from plants.guidance.conditions import After as After
     from plants.guidance.conditions import Pointed as Pointed
@@ -98,6 +113,17 @@ if TYPE_CHECKING:
     from plants.hardware.effectors import Effectors as Effectors
     from plants.hardware.effectors import equip as equip
     from plants.hardware.magnetorquers import Magnetorquers as Magnetorquers
+    from plants.hardware.instruments import ARCSEC as ARCSEC
+    from plants.hardware.instruments import DEG_PER_H as DEG_PER_H
+    from plants.hardware.instruments import DEG_PER_SQRT_H as DEG_PER_SQRT_H
+    from plants.hardware.instruments import Innovation as Innovation
+    from plants.hardware.instruments import Instrument as Instrument
+    from plants.hardware.instruments import SensorSuite as SensorSuite
+    from plants.hardware.magnetometer import ThreeAxisMagnetometer as ThreeAxisMagnetometer
+    from plants.hardware.orbitsensors import GpsReceiver as GpsReceiver
+    from plants.hardware.orbitsensors import HorizonSensor as HorizonSensor
+    from plants.hardware.ratesensors import IntegratingGyro as IntegratingGyro
+    from plants.hardware.ratesensors import Tachometers as Tachometers
     from plants.hardware.sensors import AngleRate as AngleRate
     from plants.hardware.sensors import AngleRateSuite as AngleRateSuite
     from plants.hardware.sensors import AttitudeSuite as AttitudeSuite
@@ -105,6 +131,9 @@ if TYPE_CHECKING:
     from plants.hardware.sensors import Magnetometer as Magnetometer
     from plants.hardware.sensors import SunSensor as SunSensor
     from plants.hardware.sensors import attitude_suite as attitude_suite
+    from plants.hardware.startracker import StarTracker as StarTracker
+    from plants.hardware.sunsensors import CoarseSunSensors as CoarseSunSensors
+    from plants.hardware.sunsensors import FineSunSensor as FineSunSensor
     from plants.hardware.thrusters import PulsedThrusters as PulsedThrusters
     from plants.hardware.thrusters import Thrusters as Thrusters
     from plants.hardware.wheels import Wheel as Wheel
@@ -121,6 +150,9 @@ if TYPE_CHECKING:
     from plants.outcome.budgets import Spread as Spread
     from plants.outcome.budgets import budget as budget
     from plants.outcome.budgets import sampled_loop as sampled_loop
+    from plants.outcome.consistency import Consistency as Consistency
+    from plants.outcome.consistency import nees as nees
+    from plants.outcome.consistency import nis as nis
     from plants.outcome.indices import Errors as Errors
     from plants.outcome.indices import Indices as Indices
     from plants.outcome.indices import clopper_pearson as clopper_pearson
@@ -205,6 +237,7 @@ if TYPE_CHECKING:
     from plants.surroundings.orbit import propagate as propagate
 
 _HOME = {  # of a name; modules are their own home
+    "ARCSEC": "hardware.instruments",
     "Actuator": "simulation.loop",
     "After": "guidance.conditions",
     "AngleRate": "hardware.sensors",
@@ -228,6 +261,12 @@ _HOME = {  # of a name; modules are their own home
     "ConstantTorque": "surroundings.disturbances",
     "Controller": "simulation.loop",
     "Detumbling": "guidance.laws",
+    "CoarseSunSensors": "hardware.sunsensors",
+    "Consistency": "outcome.consistency",
+    "ConstantTorque": "surroundings.disturbances",
+    "Controller": "simulation.loop",
+    "DEG_PER_H": "hardware.instruments",
+    "DEG_PER_SQRT_H": "hardware.instruments",
     "Disturbance": "surroundings.disturbances",
     "Drag": "surroundings.disturbances",
     "DragForce": "surroundings.forces",
@@ -245,7 +284,9 @@ _HOME = {  # of a name; modules are their own home
     "EulerState": "dynamics.eulerbody",
     "Fixed": "guidance.directions",
     "Forward": "guidance.directions",
+    "FineSunSensor": "hardware.sunsensors",
     "FreeSpace": "surroundings.environment",
+    "GpsReceiver": "hardware.orbitsensors",
     "GravityGradient": "surroundings.disturbances",
     "Guided": "guidance.guided",
     "Force": "surroundings.orbit",
@@ -253,8 +294,12 @@ _HOME = {  # of a name; modules are their own home
     "GravityGradient": "surroundings.disturbances",
     "GroundTrack": "surroundings.ground",
     "Gyro": "hardware.sensors",
+    "HorizonSensor": "hardware.orbitsensors",
     "Indices": "outcome.indices",
     "Inertial": "guidance.frames",
+    "Innovation": "hardware.instruments",
+    "Instrument": "hardware.instruments",
+    "IntegratingGyro": "hardware.ratesensors",
     "Kalman": "estimation.kalman",
     "Known": "guidance.modes",
     "LayeredAtmosphere": "surroundings.atmosphere",
@@ -270,6 +315,7 @@ _HOME = {  # of a name; modules are their own home
     "MoonGravity": "surroundings.forces",
     "Msis": "surroundings.msis",
     "Magnetorquers": "hardware.magnetorquers",
+    "Mekf": "estimation.mekf",
     "Navigator": "simulation.loop",
     "Oblateness": "surroundings.orbit",
     "Observability": "estimation.tracking",
@@ -300,6 +346,7 @@ _HOME = {  # of a name; modules are their own home
     "Schedule": "guidance.guided",
     "Schmitt": "hardware.attitudethrusters",
     "Section": "outcome.report",
+    "SensorSuite": "hardware.instruments",
     "Sensors": "simulation.loop",
     "Sequence": "guidance.sequences",
     "SingularityError": "errors",
@@ -308,6 +355,7 @@ _HOME = {  # of a name; modules are their own home
     "Smoothing": "estimation.navigation",
     "SolarPressure": "surroundings.disturbances",
     "Spread": "outcome.budgets",
+    "StarTracker": "hardware.startracker",
     "StateSensor": "estimation.tracking",
     "Statement": "outcome.study",
     "Station": "dynamics.relative",
@@ -321,6 +369,8 @@ _HOME = {  # of a name; modules are their own home
     "Sweep": "simulation.sweep",
     "Table": "outcome.study",
     "ThrusterState": "hardware.attitudethrusters",
+    "Tachometers": "hardware.ratesensors",
+    "ThreeAxisMagnetometer": "hardware.magnetometer",
     "Thrusters": "hardware.thrusters",
     "ToEarth": "guidance.directions",
     "ToSun": "guidance.directions",
@@ -366,6 +416,10 @@ _HOME = {  # of a name; modules are their own home
     "linear_loop": "simulation.loopmodel",
     "linearize": "simulation.linearize",
     "mode": "guidance.modes",
+    "mekf": "estimation.mekf",
+    "mekf_record": "estimation.mekf",
+    "nees": "outcome.consistency",
+    "nis": "outcome.consistency",
     "observability": "estimation.tracking",
     "pointing_errors": "outcome.indices",
     "look": "surroundings.ground",
@@ -391,6 +445,9 @@ _HOME = {  # of a name; modules are their own home
     "svd_navigator": "estimation.navigation",
     "sweep": "simulation.sweep",
     "target_position": "surroundings.ground",
+    "wahba_covariance": "estimation.wahba",
+    "wahba_pair": "estimation.wahba",
+    "wahba_svd": "estimation.wahba",
     "worst_flights": "simulation.worstflights",
     "windows": "outcome.indices",
     "worst_budget": "outcome.worstbudget",
