@@ -145,9 +145,10 @@ def mounting_of(boresight: Given) -> np.ndarray:
         Wrong shape, NaN, a boresight that is not of length one.
     """
     b = unit("boresight", boresight)
-    if b[2] < -1 + 1e-12:
+    across = b[0] ** 2 + b[1] ** 2
+    if across == 0 and b[2] < 0:
         return np.array([0.0, 1.0, 0.0, 0.0])
-    q = np.array([1 + b[2], -b[1], b[0], 0.0])
+    q = np.array([1 + b[2] if b[2] > 0 else across / (1 - b[2]), -b[1], b[0], 0.0])
     return q / np.linalg.norm(q)
 
 

@@ -214,6 +214,16 @@ class CoarseSunSensors:
             valid=y.valid * ones,
         )
 
+    def pair(self, y: Currents, env: Any) -> Pair:
+        """Direction by least squares over the lit cells, the Earth's light taken for an error of its size."""
+        normals = jnp.asarray(self.normals)
+        lit = (y.currents > jnp.maximum(3 * jnp.asarray(self.noise), 0.1)).astype(float)
+        square = (lit[:, None] * normals).T @ normals
+        seen = y.valid * within(env.sunlit, DUSK) * (jnp.linalg.det(square) > 0.1)
+        read = jnp.linalg.solve(jnp.where(seen > 0, square, jnp.eye(3)), (lit * y.currents) @ normals)
+        stray = 0.0 if self.albedo is None else jnp.asarray(self.albedo) / 2
+        return Pair(seen * read, env.sun, jnp.sqrt(jnp.asarray(self.noise) ** 2 + stray**2), seen)
+
 
 def earth_light(r: ArrayLike, sun: ArrayLike) -> tuple[Array, Array]:
     """Sunlight from the Earth at r (3,) m with the Sun along `sun` (3,): directions (p, 3) and strengths (p,).
