@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.core import Tracer
 from numpy.typing import ArrayLike as Given
 
 from plants.checks import Numbers, positive, real
@@ -276,7 +277,8 @@ def mekf(
             "suite has nothing that corrects the gyro: add a star tracker, or two sensors of directions"
         )
     for i in correcting:
-        if not np.all(np.asarray(instruments[i].deviation) > 0):
+        sheet = instruments[i].deviation
+        if not isinstance(sheet, Tracer) and not np.all(np.asarray(sheet) > 0):
             raise ScenarioError(f"instruments[{i}], a {type(instruments[i]).__name__}, has no noise: give it some")
     own = dict(calibrate or {})
     for i in own:
@@ -284,7 +286,7 @@ def mekf(
             able = {j: instruments[j].parameters for j in correcting if getattr(instruments[j], "parameters", "")}
             raise ScenarioError(f"calibrate = {own}: instruments[{i}] has nothing to estimate; these have: {able}")
     gyro = gyros[0]
-    start = np.hypot(gyro.turn_on, np.asarray(gyro.instability) / FLICKER)
+    start = (gyro.turn_on**2 + (gyro.instability / FLICKER) ** 2) ** 0.5
     guess = np.array([1.0, 0.0, 0.0, 0.0]) if q is None else unit("q", q, 4)
     sigma = LOST if q is None else positive("deviation", deviation)
     drift = start if bias_deviation is None else real("bias_deviation", bias_deviation, low=0)
@@ -292,7 +294,7 @@ def mekf(
         instruments=instruments,
         q=guess,
         bias=gyro.bias if bias is None else real("bias", bias, (3,)),
-        deviation=np.repeat(np.array([sigma, drift], float), 3),
+        deviation=sigma * np.eye(2)[0].repeat(3) + drift * np.eye(2)[1].repeat(3),
         own_deviation=positive("calibrate", [own[i] for i in sorted(own)], (len(own),)),
         known=np.asarray(float(q is not None)),
         calibrated=tuple(sorted(own)),

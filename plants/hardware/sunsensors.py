@@ -1,7 +1,7 @@
 """Sun sensors: fine ones give a direction in a field of view, coarse ones are photocells that the Earth lights too.
 
-The Earth's light is that of a sphere of one albedo, diffuse everywhere: a patch dA at the distance d sends a cell the
-fraction albedo / pi cos(to the Sun) cos(to the cell) dA / d^2 of sunlight, from its own direction. Bhanderi and Bak
+The Earth's light is that of a sphere of one albedo, diffuse everywhere: a patch dA at the distance d sends the fraction
+albedo / pi cos(to the Sun) cos(to the spacecraft) dA / d^2 of sunlight, from its own direction. Bhanderi and Bak
 (2005), Modeling Earth albedo for satellites in Earth orbit, AIAA 2005-6465, with one reflectivity for all patches.
 """
 
@@ -228,25 +228,22 @@ class CoarseSunSensors:
 def earth_light(r: ArrayLike, sun: ArrayLike) -> tuple[Array, Array]:
     """Sunlight from the Earth at r (3,) m with the Sun along `sun` (3,): directions (p, 3) and strengths (p,).
 
-    The patches are those that the spacecraft sees. Strengths are for an albedo of 1, of full sunlight; a cell gets
-    the sum of strength times cosine, at most (Earth's radius / |r|)^2. Gauss's rule in the cosine of the angle at the
-    Earth's centre, equal steps around.
+    Strengths are for an albedo of 1, of full sunlight; a cell gets the sum of strength times cosine, at most (Earth's
+    radius / |r|)^2. A patch of the solid angle dw, as the spacecraft sees it, has cos(to the Sun) / pi dw. Gauss's rule
+    in the cosine of the angle from nadir, equal steps around.
     """
     r = jnp.asarray(r)
     distance = jnp.sqrt(attitude.dot(r, r))
     up, ratio = r / distance, jnp.minimum(EARTH_RADIUS / distance, 1.0)
     nodes, weights = np.polynomial.legendre.leggauss(RINGS)
-    cosine = ratio + (1 - ratio) * (nodes + 1) / 2  # of the angle at the centre, from the limb to below
-    sine = jnp.sqrt(jnp.maximum(1 - cosine**2, 0.0))
+    limb = jnp.sqrt(1 - ratio**2)
+    cosine = limb + (1 - limb) * (nodes + 1) / 2  # of the angle from nadir
+    sine = jnp.sqrt(1 - cosine**2)
     around = 2 * np.pi * np.arange(SECTORS) / SECTORS
-    least = jnp.argmin(jnp.abs(up))
-    east = attitude.normalise(attitude.cross(jnp.eye(3)[least], up))
+    east = attitude.normalise(attitude.cross(jnp.eye(3)[jnp.argmin(jnp.abs(up))], up))
     ring = np.cos(around)[:, None] * east + np.sin(around)[:, None] * attitude.cross(up, east)
-    normal = (cosine[:, None, None] * up + sine[:, None, None] * ring).reshape(-1, 3)
-    area = jnp.repeat((1 - ratio) / 2 * weights * 2 * np.pi / SECTORS, SECTORS)  # of the unit sphere
-    way = ratio * normal - up  # to the patch, in units of the distance
-    square = attitude.dot(way, way)
-    towards = way / jnp.sqrt(square)[:, None]
-    lit = jnp.maximum(normal @ jnp.asarray(sun), 0.0)
-    leaving = jnp.maximum(-attitude.dot(towards, normal), 0.0)
-    return towards, lit * leaving * area * ratio**2 / square / np.pi
+    towards = sine[:, None, None] * ring - cosine[:, None, None] * up
+    way = cosine - jnp.sqrt(jnp.maximum(ratio**2 - sine**2, 0.0))  # to the ground, in units of the distance
+    lit = jnp.maximum((up + way[:, None, None] * towards) @ jnp.asarray(sun) / ratio, 0.0)
+    solid = (1 - limb) / 2 * weights * 2 * np.pi / SECTORS
+    return towards.reshape(-1, 3), (lit * solid[:, None]).ravel() / np.pi
