@@ -13,6 +13,7 @@ from plants.dynamics.rigidbody import BodyState, state_from
 from plants.errors import ScenarioError
 from plants.estimation import navigation, wahba
 from plants.geometry import attitude
+from plants.hardware import sensors
 from plants.missions import cubesat3u
 from plants.simulation.simulate import Loop, Scenario, simulate_many
 from plants.surroundings.environment import FreeSpace
@@ -167,6 +168,45 @@ def test_innovation_jacobian_against_differences(direct):
     np.testing.assert_allclose(np.stack(columns, axis=1), H, atol=1e-8)
 
 
+def with_covariance_of_the_solution(**changes):
+    """The filter of the study, told how well Wahba's problem is solved at every sample."""
+    known = {"attitude_noise": None, "torque_noise": 1e-9, "bias_walk": cubesat3u.GYRO_BIAS_WALK, "window": 1}
+    return navigation.ekf(cubesat3u.body(disturbed=False), cubesat3u.suite(), **{**known, **changes})
+
+
+def test_solution_of_wahbas_problem_counts_as_much_as_its_covariance_says():
+    """The rows are independent, of unit variance, and hold 4 P^-1 of information on the vector part."""
+    filter_ = with_covariance_of_the_solution()
+    with jax.enable_x64(True):
+        env = orbit_like()
+        q = attitude.from_euler(np.array([0.3, -0.4, 1.1]))
+        x = BodyState(attitude.compose(q, env.q_ON), jnp.zeros(3), jnp.zeros(3))
+        _, y = cubesat3u.suite().measure(jnp.zeros(3), x, env, jnp.zeros(12), 0.0)
+        s = filter_.init()._replace(q=q, smoothing=navigation.Smoothing(y.sun[None], y.field[None]))
+        z, H, R, known = (np.asarray(a) for a in filter_.innovation(s, y, env))
+        seen = [np.asarray(attitude.rotate(x.q, v)) for v in (env.sun, env.B)]
+        deviations = [cubesat3u.SUN_NOISE, cubesat3u.MAGNETOMETER_NOISE / np.linalg.norm(env.B)]
+        P = np.asarray(wahba.wahba_covariance(np.stack(seen), deviations))
+    np.testing.assert_allclose(z[:3], 0, atol=1e-9)
+    np.testing.assert_array_equal(R[:3], 1)
+    np.testing.assert_allclose(H[:3, :3].T @ H[:3, :3], 4 * np.linalg.inv(P), rtol=1e-8)
+    assert (known == 1).all()
+
+
+def test_filter_takes_the_gyro_by_its_random_walk():
+    """The variance of the rate is that of the sampling period; before time has passed there is nothing to use."""
+    suite = sensors.attitude_suite(sun_noise=1e-3, magnetometer_noise=1e-7, gyro_random_walk=2e-5)
+    filter_ = navigation.ekf(cubesat3u.body(), suite, attitude_noise=1e-3, torque_noise=1e-7, bias_walk=0.0)
+    with jax.enable_x64(True):
+        env = orbit_like()
+        x = BodyState(env.q_ON, jnp.zeros(3), jnp.zeros(3))
+        _, y = suite.measure(jnp.zeros(3), x, env, jnp.zeros(12), 0.0)
+        for h, variance, used in ((0.0, 0.0, 0), (0.1, 4e-9, 1), (0.4, 1e-9, 1)):
+            *_, R, known = filter_.innovation(filter_.init(), y, env, h)
+            np.testing.assert_allclose(R[3:], variance, rtol=1e-12)
+            np.testing.assert_array_equal(known[3:], used)
+
+
 def errors_and_covariance(x, env, sensors, navigator):
     """Error of the nine states and their covariance."""
     q = attitude.compose(x.q, attitude.conjugate(env.q_ON))
@@ -214,6 +254,16 @@ def test_direct_filter_is_consistent():
         assert low < nees[:, time].mean() < high, (time, nees[:, time].mean(), low, high)
     assert (P[:, -1].diagonal(axis1=1, axis2=2)[:, :3] < 0.05 * P[:, 0].diagonal(axis1=1, axis2=2)[:, :3]).all()
     assert np.abs(e[:, -1, 6:]).max() < 4 * np.sqrt(P[:, -1].diagonal(axis1=1, axis2=2)[:, 6:].max())
+
+
+@pytest.mark.slow
+def test_fed_filter_is_consistent_with_the_covariance_of_the_solution():
+    """Without smoothing and with Wahba's covariance the reference's scheme is as consistent as the direct filter."""
+    runs = 40
+    nees, *_ = normalised_errors(with_covariance_of_the_solution(deviation=SMALL), runs)
+    low, high = chi2.ppf([1e-4, 1 - 1e-4], 9 * runs) / runs
+    for time in (0, 5, 50, 200, 599):
+        assert low < nees[:, time].mean() < high, (time, nees[:, time].mean(), low, high)
 
 
 @pytest.mark.slow
