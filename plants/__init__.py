@@ -3,24 +3,14 @@
     geometry       rotations: `attitude`
     surroundings   `Environment` (field, Sun, eclipse, air) along a `circular` or `keplerian` orbit under `Force`s,
                    `ground_track`, `target_position`, disturbance torques
-    dynamics       `RigidBody`, `EulerBody`, `Station` (relative motion)
-    hardware       `ReactionWheels`, `Thrusters`, `SunSensor`, `Magnetometer`, `Gyro`, ...
-    surroundings   `Orbit`, `CircularEnvironment` (field, Sun, eclipse, air), disturbance torques
     dynamics       `RigidBody`, `Satellite` (with all that turns it), `EulerBody`, `Station` (relative motion)
     hardware       `equip` makes plant and actuator of data sheets (`Wheel`, `Magnetorquers`, `AttitudeThrusters`,
-                   `CmgSteering`); `ReactionWheels`, `Thrusters`, `SunSensor`, `Magnetometer`, `Gyro`, ...
-    estimation     `ekf`, `svd_navigator`, `kalman`, `station_ekf`
-    guidance       commanded frames (`Nadir`, `Pointing`, `Profile`), `Schedule` and `Guided`, `mode` and `sequence`
-    simulation     `Loop` and `Scenario` go into `simulate`, `simulate_many`, `campaign`, `worst_flights`, `linearize`;
-                   a `Run` comes out; `Store` reads what a campaign has stored, `sweep` goes through designs
-    outcome        `indices`, `budget`, `settling_time`, `run_plot`, `campaign_plot`; `report` and `study` make pages
-    hardware       `ReactionWheels`, `Thrusters`; `StarTracker`, `IntegratingGyro`, ... in a `SensorSuite`
+                   `CmgSteering`); `StarTracker`, `IntegratingGyro`, ... in a `SensorSuite`
     estimation     `mekf` over any set of instruments, `ekf`, `svd_navigator`, `kalman`, `station_ekf`
+    guidance       commanded frames (`Nadir`, `Pointing`, `Profile`), `Schedule` and `Guided`, `mode` and `sequence`,
+                   `CrossProduct` dumping
     simulation     `Loop` and `Scenario` go into `simulate`, `simulate_many`, `campaign`, `worst_flights`, `linearize`;
                    a `Run` comes out; `Store` reads what a campaign has stored, `sweep` goes through designs
-    outcome        `indices`, `settling_time`, `run_plot`, `campaign_plot`; `report` and `study` make pages
-    simulation     `Loop` and `Scenario` go into `simulate`, `simulate_many`, `campaign`, `linearize`; a `Run` comes
-                   out; `Store` reads what a campaign has stored, `sweep` goes through designs
     outcome        `indices`, `budget`, `nees`, `settling_time`, `run_plot`, `campaign_plot`; `report` and `study` make
                    pages
     missions       `cubesat3u`, `amazonia1`, `airbearing`, `geo`: the numbers of the studies
@@ -91,18 +81,18 @@ if TYPE_CHECKING:
     from plants.guidance.guided import Schedule as Schedule
     from plants.guidance.laws import AttitudeControl as AttitudeControl
     from plants.guidance.laws import Detumbling as Detumbling
-    from plants.guidance.modes import Known as Known
-    from plants.guidance.modes import Mode as Mode
-    from plants.guidance.modes import mode as mode
-    from plants.guidance.sequences import Sequence as Sequence
-    from plants.guidance.sequences import commanded_record as commanded_record
-    from plants.guidance.sequences import sequence as sequence
     from plants.guidance.magnetic import CrossProductDumping as CrossProductDumping
     from plants.guidance.magnetic import LqrDumping as LqrDumping
     from plants.guidance.magnetic import bdot as bdot
     from plants.guidance.magnetic import bdot_gain as bdot_gain
     from plants.guidance.magnetic import cross_product as cross_product
     from plants.guidance.magnetic import field_rate as field_rate
+    from plants.guidance.modes import Known as Known
+    from plants.guidance.modes import Mode as Mode
+    from plants.guidance.modes import mode as mode
+    from plants.guidance.sequences import Sequence as Sequence
+    from plants.guidance.sequences import commanded_record as commanded_record
+    from plants.guidance.sequences import sequence as sequence
     from plants.hardware.actuators import ReactionWheels as ReactionWheels
     from plants.hardware.attitudethrusters import AttitudeThrusters as AttitudeThrusters
     from plants.hardware.attitudethrusters import Pwm as Pwm
@@ -112,7 +102,6 @@ if TYPE_CHECKING:
     from plants.hardware.cmgsteering import CmgSteering as CmgSteering
     from plants.hardware.effectors import Effectors as Effectors
     from plants.hardware.effectors import equip as equip
-    from plants.hardware.magnetorquers import Magnetorquers as Magnetorquers
     from plants.hardware.instruments import ARCSEC as ARCSEC
     from plants.hardware.instruments import DEG_PER_H as DEG_PER_H
     from plants.hardware.instruments import DEG_PER_SQRT_H as DEG_PER_SQRT_H
@@ -120,6 +109,7 @@ if TYPE_CHECKING:
     from plants.hardware.instruments import Instrument as Instrument
     from plants.hardware.instruments import SensorSuite as SensorSuite
     from plants.hardware.magnetometer import ThreeAxisMagnetometer as ThreeAxisMagnetometer
+    from plants.hardware.magnetorquers import Magnetorquers as Magnetorquers
     from plants.hardware.orbitsensors import GpsReceiver as GpsReceiver
     from plants.hardware.orbitsensors import HorizonSensor as HorizonSensor
     from plants.hardware.ratesensors import IntegratingGyro as IntegratingGyro
@@ -240,14 +230,11 @@ _HOME = {  # of a name; modules are their own home
     "ARCSEC": "hardware.instruments",
     "Actuator": "simulation.loop",
     "After": "guidance.conditions",
-    "AngleRate": "hardware.sensors",
-    "AngleRateSuite": "hardware.sensors",
-    "Atmosphere": "surroundings.environment",
-    "AttitudeControl": "guidance.laws",
     "Air": "surroundings.atmosphere",
     "AngleRate": "hardware.sensors",
     "AngleRateSuite": "hardware.sensors",
     "Atmosphere": "surroundings.atmosphere",
+    "AttitudeControl": "guidance.laws",
     "AttitudeSuite": "hardware.sensors",
     "AttitudeThrusters": "hardware.attitudethrusters",
     "BodyState": "dynamics.rigidbody",
@@ -258,22 +245,18 @@ _HOME = {  # of a name; modules are their own home
     "Claim": "outcome.report",
     "CmgSteering": "hardware.cmgsteering",
     "Cmgs": "dynamics.cmgs",
-    "ConstantTorque": "surroundings.disturbances",
-    "Controller": "simulation.loop",
-    "Detumbling": "guidance.laws",
     "CoarseSunSensors": "hardware.sunsensors",
     "Consistency": "outcome.consistency",
     "ConstantTorque": "surroundings.disturbances",
     "Controller": "simulation.loop",
+    "CrossProductDumping": "guidance.magnetic",
     "DEG_PER_H": "hardware.instruments",
     "DEG_PER_SQRT_H": "hardware.instruments",
+    "Detumbling": "guidance.laws",
     "Disturbance": "surroundings.disturbances",
     "Drag": "surroundings.disturbances",
     "DragForce": "surroundings.forces",
     "EarthShape": "surroundings.forces",
-    "CrossProductDumping": "guidance.magnetic",
-    "Disturbance": "surroundings.disturbances",
-    "Drag": "surroundings.disturbances",
     "Effectors": "hardware.effectors",
     "Ekf": "estimation.navigation",
     "Elements": "surroundings.orbit",
@@ -282,17 +265,15 @@ _HOME = {  # of a name; modules are their own home
     "Errors": "outcome.indices",
     "EulerBody": "dynamics.eulerbody",
     "EulerState": "dynamics.eulerbody",
-    "Fixed": "guidance.directions",
-    "Forward": "guidance.directions",
     "FineSunSensor": "hardware.sunsensors",
+    "Fixed": "guidance.directions",
+    "Force": "surroundings.orbit",
+    "Forward": "guidance.directions",
     "FreeSpace": "surroundings.environment",
     "GpsReceiver": "hardware.orbitsensors",
     "GravityGradient": "surroundings.disturbances",
-    "Guided": "guidance.guided",
-    "Force": "surroundings.orbit",
-    "FreeSpace": "surroundings.environment",
-    "GravityGradient": "surroundings.disturbances",
     "GroundTrack": "surroundings.ground",
+    "Guided": "guidance.guided",
     "Gyro": "hardware.sensors",
     "HorizonSensor": "hardware.orbitsensors",
     "Indices": "outcome.indices",
@@ -310,12 +291,12 @@ _HOME = {  # of a name; modules are their own home
     "LoopModel": "simulation.loopmodel",
     "LqrDumping": "guidance.magnetic",
     "Magnetometer": "hardware.sensors",
-    "Mode": "guidance.modes",
-    "Nadir": "guidance.frames",
-    "MoonGravity": "surroundings.forces",
-    "Msis": "surroundings.msis",
     "Magnetorquers": "hardware.magnetorquers",
     "Mekf": "estimation.mekf",
+    "Mode": "guidance.modes",
+    "MoonGravity": "surroundings.forces",
+    "Msis": "surroundings.msis",
+    "Nadir": "guidance.frames",
     "Navigator": "simulation.loop",
     "Oblateness": "surroundings.orbit",
     "Observability": "estimation.tracking",
@@ -327,8 +308,8 @@ _HOME = {  # of a name; modules are their own home
     "PlantError": "errors",
     "Pointed": "guidance.conditions",
     "Pointing": "guidance.frames",
-    "Profile": "guidance.frames",
     "PressureForce": "surroundings.forces",
+    "Profile": "guidance.frames",
     "PulsedThrusters": "hardware.thrusters",
     "Pwm": "hardware.attitudethrusters",
     "Pwpf": "hardware.attitudethrusters",
@@ -368,9 +349,9 @@ _HOME = {  # of a name; modules are their own home
     "SvdNavigator": "estimation.navigation",
     "Sweep": "simulation.sweep",
     "Table": "outcome.study",
-    "ThrusterState": "hardware.attitudethrusters",
     "Tachometers": "hardware.ratesensors",
     "ThreeAxisMagnetometer": "hardware.magnetometer",
+    "ThrusterState": "hardware.attitudethrusters",
     "Thrusters": "hardware.thrusters",
     "ToEarth": "guidance.directions",
     "ToSun": "guidance.directions",
@@ -380,7 +361,6 @@ _HOME = {  # of a name; modules are their own home
     "Verdict": "outcome.study",
     "Wheel": "hardware.wheels",
     "WheelArray": "hardware.wheels",
-    "WorstFlights": "simulation.worstflights",
     "WorstBudget": "outcome.worstbudget",
     "WorstFlights": "simulation.worstflights",
     "airbearing": "missions.airbearing",
@@ -415,19 +395,16 @@ _HOME = {  # of a name; modules are their own home
     "keplerian": "surroundings.orbit",
     "linear_loop": "simulation.loopmodel",
     "linearize": "simulation.linearize",
-    "mode": "guidance.modes",
+    "look": "surroundings.ground",
     "mekf": "estimation.mekf",
     "mekf_record": "estimation.mekf",
+    "mode": "guidance.modes",
     "nees": "outcome.consistency",
     "nis": "outcome.consistency",
     "observability": "estimation.tracking",
     "pointing_errors": "outcome.indices",
-    "look": "surroundings.ground",
-    "observability": "estimation.tracking",
-    "pointing_errors": "outcome.indices",
-    "propagate": "surroundings.orbit",
-    "replay": "simulation.campaign",
     "pooled_level": "outcome.indices",
+    "propagate": "surroundings.orbit",
     "replay": "simulation.campaign",
     "replay_case": "simulation.campaign",
     "report": "outcome.report",
@@ -448,7 +425,6 @@ _HOME = {  # of a name; modules are their own home
     "wahba_covariance": "estimation.wahba",
     "wahba_pair": "estimation.wahba",
     "wahba_svd": "estimation.wahba",
-    "worst_flights": "simulation.worstflights",
     "windows": "outcome.indices",
     "worst_budget": "outcome.worstbudget",
     "worst_flights": "simulation.worstflights",

@@ -178,7 +178,7 @@ class RigidBody:
         At any angle: beyond small ones the difference of two vector parts is no rotation.
         """
         y, r = jnp.asarray(y), jnp.asarray(r)
-        q = attitude.compose(attitude.from_vector(y[:3]), attitude.conjugate(attitude.from_vector(r[:3])))
+        q = attitude.compose(attitude.from_vector_part(y[:3]), attitude.conjugate(attitude.from_vector_part(r[:3])))
         return jnp.concatenate([attitude.positive(q)[1:], y[3:] - attitude.rotate(q, r[3:])])
 
     def project(self, x: BodyState) -> BodyState:

@@ -162,31 +162,11 @@ def from_euler(angles: ArrayLike) -> Array:
     )
 
 
-def from_vector(v: ArrayLike) -> Array:
+def from_vector_part(v: ArrayLike) -> Array:
     """Quaternion with the vector part v and scalar part >= 0: (..., 3) -> (..., 4); 0 where v is longer than 1."""
     v = jnp.asarray(v)
     square = dot(v, v)[..., None]
     return jnp.concatenate([jnp.sqrt(jnp.where(square < 1, 1 - square, 0.0)), v], axis=-1)
-
-
-def from_rotation(turn: ArrayLike) -> Array:
-    """Quaternion of the rotation by |turn| rad about the axis `turn`: (..., 3) rad -> (..., 4)."""
-    turn = jnp.asarray(turn)
-    square = dot(turn, turn)[..., None]
-    some = square > 1e-16  # below, the series is exact; the root of zero has no slope
-    half = 0.5 * jnp.sqrt(jnp.where(some, square, 1.0))
-    scale = jnp.where(some, 0.5 * jnp.sin(half) / half, 0.5 - square / 48)
-    return jnp.concatenate([jnp.where(some, jnp.cos(half), 1 - square / 8), scale * turn], axis=-1)
-
-
-def to_rotation(q: ArrayLike) -> Array:
-    """Axis times angle in [0, pi] rad of a unit quaternion, of q and -q alike: (..., 4) -> (..., 3)."""
-    q = positive(q)
-    q0, qv = _split(q)
-    square = dot(qv, qv)[..., None]
-    some = square > 1e-16
-    length = jnp.sqrt(jnp.where(some, square, 1.0))
-    return jnp.where(some, 2 * jnp.arctan2(length, q0) / length, 2.0) * qv
 
 
 def to_euler(q: ArrayLike) -> Array:

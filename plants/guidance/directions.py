@@ -128,7 +128,7 @@ class ToTarget:
     def at(self, t: ArrayLike, env: Any) -> tuple[Array, Array]:
         """Vector (3,) m and its derivative."""
         pole = jnp.asarray(self.pole)
-        back = attitude.conjugate(attitude.from_rotation(EARTH_RATE * jnp.asarray(t) * pole))
+        back = attitude.conjugate(attitude.from_vector(EARTH_RATE * jnp.asarray(t) * pole))
         place = attitude.rotate(back, self.position)
         return place - env.r, EARTH_RATE * attitude.cross(pole, place) - env.v
 

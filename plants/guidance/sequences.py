@@ -290,7 +290,7 @@ def commanded_record(x: Any, env: Any, sensors: Any, navigator: Progress) -> Com
 
 def _inertial(output: Array, env: Any) -> tuple[Array, Array]:
     """Attitude q_BN (4,) and inertial rate (3,) rad/s from an output (6,) relative to frame O."""
-    q = attitude.from_vector(output[:3])
+    q = attitude.from_vector_part(output[:3])
     return attitude.compose(q, env.q_ON), output[3:] + attitude.rotate(q, env.w_ON)
 
 

@@ -37,9 +37,9 @@ def path_from(
     """The slew from attitude q_BN (4,) and inertial rate w (3,) rad/s to the frame (q_RN, w_R) of the same time."""
     off = attitude.compose(q, attitude.conjugate(frame[0]))
     relative = jnp.asarray(w) - attitude.rotate(off, frame[1])
-    turn = attitude.to_rotation(off)
+    turn = attitude.to_vector(off)
     # the derivative of `turn` is the rate only along it; exp is inverted to first order in the rate
-    slope = jax.jacfwd(lambda p: moving(attitude.from_rotation, (turn, p))[1])(jnp.zeros(3))
+    slope = jax.jacfwd(lambda p: moving(attitude.from_vector, (turn, p))[1])(jnp.zeros(3))
     return Path(turn, jnp.linalg.solve(slope, relative), jnp.asarray(max_rate), jnp.asarray(max_acceleration))
 
 
@@ -56,7 +56,7 @@ def commanded(path: Path, tau: ArrayLike, frame: tuple[Array, Array]) -> tuple[A
     s, ds = _progress(path, tau - T0)
     p = path.turn * (1 - s) + path.rate * T0 * early * (1 - early) ** 2
     dp = -path.turn * ds + jnp.where(tau < T0, 1.0, 0.0) * path.rate * (1 - early) * (1 - 3 * early)
-    off, relative = moving(attitude.from_rotation, (p, dp))
+    off, relative = moving(attitude.from_vector, (p, dp))
     return attitude.compose(off, q), relative + attitude.rotate(off, w)
 
 

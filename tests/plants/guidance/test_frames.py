@@ -61,7 +61,7 @@ def test_rates_are_the_derivatives_of_attitudes(frames, name):
     q, w = frames[name]
     np.testing.assert_allclose(np.linalg.norm(q, axis=-1), 1, atol=1e-9)
     with jax.enable_x64(True):
-        turn = attitude.to_rotation(attitude.compose(q[:, 2], attitude.conjugate(q[:, 0])))
+        turn = attitude.to_vector(attitude.compose(q[:, 2], attitude.conjugate(q[:, 0])))
     left_out = 3e-7 if name in ("sun", "normal") else 2e-9  # the motion of the Sun, 2e-7 rad/s
     np.testing.assert_allclose(np.asarray(turn) / 0.1, w[:, 1], atol=left_out)
 

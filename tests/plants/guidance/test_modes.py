@@ -60,7 +60,7 @@ class Straight:
         return ()
 
     def update(self, s, y, u, env, h):
-        tilted = attitude.compose(attitude.from_rotation(jnp.array([self.tilt, 0.0, 0.0])), y.q)
+        tilted = attitude.compose(attitude.from_vector(jnp.array([self.tilt, 0.0, 0.0])), y.q)
         off = attitude.compose(tilted, attitude.conjugate(env.q_ON))
         return s, jnp.concatenate([attitude.positive(off)[1:], y.w - attitude.rotate(off, env.w_ON)])
 

@@ -67,7 +67,7 @@ def test_rates_are_the_derivatives_of_attitudes(turn, rate, start, spin):
         path = path_from(q, spin, moving_frame(turn, rate, 0.0), 1e-2, 1e-4)
         for t in np.linspace(0.01, 1, 7) * float(duration(path)):
             pair = [np.asarray(commanded(path, t + d, moving_frame(turn, rate, t + d))[0]) for d in (-dt, dt)]
-            step = attitude.to_rotation(attitude.compose(pair[1], attitude.conjugate(pair[0])))
+            step = attitude.to_vector(attitude.compose(pair[1], attitude.conjugate(pair[0])))
             w = commanded(path, t, moving_frame(turn, rate, t))[1]
             np.testing.assert_allclose(np.asarray(step) / (2 * dt), np.asarray(w), atol=2e-7)
 
