@@ -24,6 +24,11 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from plants.craft.comparison import Comparison as Comparison
+    from plants.craft.comparison import Dispersion as Dispersion
+    from plants.craft.comparison import compare_flights as compare_flights
+    from plants.craft.spacecraft import Spacecraft as Spacecraft
+    from plants.craft.spacecraft import spacecraft as spacecraft
     from plants.dynamics.cmgs import Cmgs as Cmgs
     from plants.dynamics.eulerbody import EulerBody as EulerBody
     from plants.dynamics.eulerbody import EulerState as EulerState
@@ -246,6 +251,7 @@ _HOME = {  # of a name; modules are their own home
     "CmgSteering": "hardware.cmgsteering",
     "Cmgs": "dynamics.cmgs",
     "CoarseSunSensors": "hardware.sunsensors",
+    "Comparison": "craft.comparison",
     "Consistency": "outcome.consistency",
     "ConstantTorque": "surroundings.disturbances",
     "Controller": "simulation.loop",
@@ -253,6 +259,7 @@ _HOME = {  # of a name; modules are their own home
     "DEG_PER_H": "hardware.instruments",
     "DEG_PER_SQRT_H": "hardware.instruments",
     "Detumbling": "guidance.laws",
+    "Dispersion": "craft.comparison",
     "Disturbance": "surroundings.disturbances",
     "Drag": "surroundings.disturbances",
     "DragForce": "surroundings.forces",
@@ -335,6 +342,7 @@ _HOME = {  # of a name; modules are their own home
     "Slow": "guidance.conditions",
     "Smoothing": "estimation.navigation",
     "SolarPressure": "surroundings.disturbances",
+    "Spacecraft": "craft.spacecraft",
     "Spread": "outcome.budgets",
     "StarTracker": "hardware.startracker",
     "StateSensor": "estimation.tracking",
@@ -378,6 +386,7 @@ _HOME = {  # of a name; modules are their own home
     "circular": "surroundings.orbit",
     "clopper_pearson": "outcome.indices",
     "commanded_record": "guidance.sequences",
+    "compare_flights": "craft.comparison",
     "cross_product": "guidance.magnetic",
     "cubesat3u": "missions.cubesat3u",
     "draw": "simulation.campaign",
@@ -414,6 +423,7 @@ _HOME = {  # of a name; modules are their own home
     "settling_time": "outcome.indices",
     "simulate": "simulation.simulate",
     "simulate_many": "simulation.simulate",
+    "spacecraft": "craft.spacecraft",
     "stability": "outcome.indices",
     "state_from": "dynamics.rigidbody",
     "station_ekf": "estimation.tracking",

@@ -74,6 +74,23 @@ def spread(runs: Sequence[tuple[np.ndarray, np.ndarray]], rows: Sequence[str], *
         return fig
 
 
+def bundles(flights: Mapping[str, Sequence[tuple[np.ndarray, np.ndarray]]], label: str, bound: float) -> Figure:
+    """Side by side for each name: all its flights (time (N,) s, value (N,)) in thin lines, logarithmic, and a bound."""
+    with mpl.rc_context(STYLE):
+        fig = Figure(figsize=(2.7 * max(len(flights), 2) + 0.6, 3.0), layout="constrained")
+        axes = fig.subplots(1, len(flights), sharex=True, sharey=True, squeeze=False)[0]
+        for ax, (name, lines) in zip(axes, flights.items(), strict=True):
+            for time, value in lines:
+                ax.plot(time, np.maximum(value, 1e-3 * bound), color=COLOURS[0], alpha=0.5, lw=0.7, rasterized=True)
+            ax.axhline(bound, color=BOUND, ls="--", lw=0.9)
+            ax.set_title(name)
+            ax.set_xlabel("time, s")
+            ax.set_yscale("log")
+            ax.yaxis.set_major_formatter("{x:g}")
+        axes[0].set_ylabel(label)
+        return fig
+
+
 def levels(names: Sequence[str], values: Mapping[str, np.ndarray], bounds: Mapping[str, float], unit: str) -> Figure:
     """For each index a column of dots per configuration, one dot for each run, and its requirement.
 

@@ -5,6 +5,7 @@ elsewhere fits without knowing this package, because protocols are structural.
 """
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -98,8 +99,9 @@ class Actuator(Protocol):
         """State before the first command."""
         ...
 
-    def apply(self, s: Any, command: Any, x: Any) -> tuple[Any, Any]:
-        """New state and the plant's input u."""
+    @property
+    def apply(self) -> Callable[..., tuple[Any, Any]]:
+        """``apply(s, command, x)`` gives the new state and the plant's input u."""
         ...
 
 
@@ -229,7 +231,7 @@ def act(loop: Loop, s: Any, command: Any, x: Any, noise: Any, h: Any) -> tuple[A
     if loop.actuator is None:
         return s, command
     if actuator_channels(loop):
-        return loop.actuator.apply(s, command, x, noise, h)  # pyright: ignore[reportCallIssue]
+        return loop.actuator.apply(s, command, x, noise, h)
     return loop.actuator.apply(s, command, x)
 
 
