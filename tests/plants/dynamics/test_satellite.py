@@ -1,6 +1,7 @@
 """The satellite with its effectors: the rigid body's equations, friction, imbalance, coils, gyroscopes, mistakes."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +25,7 @@ FULL = np.array([[310, 1.11, 1.01], [1.11, 360, -0.35], [1.01, -0.35, 530.7]]) /
 PYRAMID = np.array([[1, -1, 0, 0], [0, 0, 1, -1], [1, 1, 1, 1]]) / np.sqrt(2)
 JS, VISCOUS, COULOMB = 2e-4, 4e-7, 5e-5  # kg m^2, N m s, N m
 REST = np.array([1.0, 0, 0, 0])
+DATA = Path(__file__).parents[2] / "data"
 
 
 @pytest.fixture(autouse=True)
@@ -155,6 +157,35 @@ def test_longest_step_is_where_a_rotor_comes_to_rest_without_ringing():
     for step, rings in ((0.9 * h, False), (1.3 * h, True)):
         run = fly(plant, at(plant, wheels=[0.3, 0, 0]), np.zeros(3), h=step, periods=60)
         assert (np.abs(run.states.wheels[-1, 0]) > 0.1) == rings
+
+
+def test_wheels_as_sold_fly_as_in_basilisk():
+    """Friction, static and dynamic imbalance on four wheels, 4 s in steps of 0.5 ms."""
+    told = np.load(DATA / "basilisk_wheels_as_sold.npz")
+    sheet = {"static_imbalance_g_cm": 1e5 * told["Us"], "dynamic_imbalance_g_cm2": 1e7 * told["Ud"]}
+    sold = [
+        Wheel.create(
+            axis, max_torque=1.0, inertia=told["Js"], max_speed=600.0, position=position,
+            viscous=told["viscous"], coulomb=told["coulomb"], **sheet,
+        )
+        for axis, position in zip(told["axes"].T, told["position"].T, strict=True)
+    ]  # fmt: skip
+    plant = Satellite.create(told["inertia"], wheels=sold)
+    begin = np.arctan2(
+        *((told["heavy"] * part).sum(axis=0) for part in (plant.imbalance.along, plant.imbalance.across))
+    )
+    x = at(plant, told["w"][0], wheels=told["Om"][0])._replace(phase=np.mod(begin, 2 * np.pi))
+    loop = Loop(plant=plant, controller=Held(dt=0.1, command=told["us"]))
+    run = simulate(loop, Scenario(initial=x, dt=0.1, periods=40, samples=200, environment=FreeSpace()))
+    w, Om, phase, q = (a[::200] for a in (run.states.w, run.states.wheels, run.states.phase, run.states.q))
+    np.testing.assert_allclose(w, told["w"][:40], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(Om, told["Om"][:40], rtol=1e-13)
+    np.testing.assert_allclose(np.cos(phase - begin), np.cos(told["theta"][:40]), rtol=0, atol=1e-10)
+    mrp = q[:, 1:] / (1 + q[:, :1])
+    np.testing.assert_allclose(mrp, told["s"][:40], rtol=0, atol=1e-12)
+    still = Satellite.create(told["inertia"], wheels=wheels(told["axes"]))
+    quiet = fly(still, at(still, told["w"][0], wheels=told["Om"][0]), told["us"], h=0.1, periods=40)
+    assert np.abs(quiet.states.w - told["w"][:40]).max() > 5e-4  # what is compared is not negligible
 
 
 @pytest.fixture(scope="module")
