@@ -7,6 +7,7 @@ the rest needs concrete numbers and is skipped inside `jit`, `vmap` and `grad`, 
 from collections.abc import Callable
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.core import Tracer
@@ -70,6 +71,13 @@ def each(name: str, value: Any, n: int, check: Callable[..., Any], **options: An
     """A number for each of n devices, (n,), from one for all or as many; checked by `real` or `positive`."""
     checked = check(name, value, (n,) if np.ndim(value) else (), **options)
     return checked if np.ndim(checked) else checked * np.ones(n)
+
+
+def counted(name: str, value: Any, n: int, what: str) -> Any:
+    """The same, concrete or traced, if it has the shape (n,); ScenarioError that it is not one for each `what`."""
+    if np.shape(value) != (n,):
+        raise ScenarioError(f"{name} has shape {np.shape(value)}: give ({n},), one for each {what}")
+    return jnp.asarray(value)
 
 
 def unit(name: str, value: Any, shape: tuple[int | None, ...]) -> Any:

@@ -19,7 +19,7 @@ from jax import Array
 from jax.core import Tracer
 from jax.typing import ArrayLike
 
-from plants.checks import Numbers, positive, unit
+from plants.checks import Numbers, counted, positive, unit
 from plants.dynamics.inertia import check_moments, inertia_matrix
 from plants.errors import ScenarioError
 from plants.geometry import attitude
@@ -145,10 +145,9 @@ class RigidBody:
         ScenarioError
             As many wheel speeds or motor torques as there are wheels are not there.
         """
-        G, motors = jnp.asarray(self.wheel_axes), jnp.asarray(motors)
-        for name, what in (("wheels", x.wheels), ("motor torques", motors)):
-            if jnp.shape(what) != G.shape[1:]:
-                raise ScenarioError(f"{name} has shape {jnp.shape(what)}: give {G.shape[1:]}, one for each wheel")
+        G, n = jnp.asarray(self.wheel_axes), self.wheel_axes.shape[1]
+        counted("wheels of the state", x.wheels, n, "wheel")
+        motors = counted("motor torques", motors, n, "wheel")
         load = self.disturbance_torque(x.q, env) - attitude.cross(x.w, self.momentum(x) + stored) + torque
         dw = self.inverse @ (load - G @ motors)  # Equation 3
         return BodyState(q=attitude.kinematics(x.q, x.w), w=dw, wheels=motors / self.wheel_inertia - G.T @ dw)

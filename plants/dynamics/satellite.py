@@ -20,7 +20,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from plants.checks import Numbers, real, unit
+from plants.checks import Numbers, counted, real, unit
 from plants.dynamics.cmgs import Cmgs
 from plants.dynamics.rigidbody import BodyState, RigidBody, state_from
 from plants.dynamics.rotors import TURN, Friction, Imbalance, column
@@ -156,14 +156,9 @@ class Satellite:
             A state or an input for other numbers of wheels or gyroscopes.
         """
         part, (n, m, _, _) = self.split(u), self.sizes
-        turning = (0 if self.imbalance is None else n,)
-        for name, value, shape in (
-            ("wheels", x.wheels, (n,)),
-            ("gimbals", x.gimbals, (m,)),
-            ("phase", x.phase, turning),
-        ):
-            if jnp.shape(value) != shape:
-                raise ScenarioError(f"{name} of the state has shape {jnp.shape(value)}: give {shape}")
+        counted("wheels of the state", x.wheels, n, "wheel")
+        counted("phase of the state", x.phase, 0 if self.imbalance is None else n, "rotor that is not balanced")
+        counted("gimbals of the state", x.gimbals, m, "gyroscope")
         motors, torque = part.motors, part.torque
         stored: ArrayLike = 0.0
         if self.friction is not None:

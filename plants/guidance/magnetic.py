@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
@@ -24,7 +25,10 @@ from scipy.linalg import LinAlgError, expm, solve_continuous_are
 
 from plants.checks import Numbers, each, positive, real
 from plants.errors import ScenarioError
+from plants.geometry import attitude
 from plants.simulation import blocks
+from plants.simulation.loop import Environment
+from plants.simulation.programs import Program
 
 
 def field_rate(rate: Any, field: Any) -> Any:
@@ -195,10 +199,53 @@ class LqrDumping:
             radius=radius,
         )
 
+    @classmethod
+    def along(
+        cls,
+        environment: Environment,
+        period: float,
+        *,
+        dipole: float,
+        momentum: float,
+        points: int = 360,
+        limit: ArrayLike = np.inf,
+        wanted: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
+    ) -> "LqrDumping":
+        """The law for a body at rest in frame O of an environment, from the field of its first orbit.
+
+        Parameters
+        ----------
+        environment : with a magnetic field, over `period` at least
+        period : () s, of the orbit
+        dipole, momentum, limit, wanted : as in `create`
+        points : of the orbit
+
+        Raises
+        ------
+        ScenarioError
+            What `create` refuses; an environment without a field, or shorter than the orbit.
+        """
+        blocks.register(environment)
+        with jax.enable_x64(True):
+            times = np.arange(points) * (float(positive("period", period)) / points)
+            field, rate = (np.asarray(part) for part in _orbit(environment, times))
+        if not np.isfinite(field).all():
+            raise ScenarioError(f"environment gives no magnetic field over the {period:g} s of an orbit")
+        return cls.create(
+            field, period, dipole=dipole, momentum=momentum, rate=rate.mean(axis=0), limit=limit, wanted=wanted
+        )
+
     def dipole(self, momentum: Any, field: Any) -> Any:
         """Dipole moment (3,) A m^2 for the momentum (3,) N m s of the wheels in a field (3,) T, all in body axes."""
         library = _library(momentum, field)
         return _within(library, library.cross(field, self.gain @ (self.wanted - momentum)), self.limit)
+
+
+@Program
+def _orbit(environment: Any, times: Any) -> tuple[Any, Any]:
+    """Field (n, 3) T in frame O, and the rate (n, 3) rad/s of that frame."""
+    env = jax.vmap(environment.at)(times)
+    return attitude.rotate(env.q_ON, env.B), env.w_ON
 
 
 def _library(*arrays: Any) -> Any:

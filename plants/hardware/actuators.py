@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from plants.checks import Numbers, each, positive, unit
+from plants.checks import Numbers, counted, each, positive, unit
 from plants.dynamics.rigidbody import BodyState
 from plants.errors import ScenarioError
 from plants.simulation import blocks
@@ -67,6 +67,6 @@ class ReactionWheels:
 
     def apply(self, s: tuple[()], command: ArrayLike, x: BodyState) -> tuple[tuple[()], Array]:
         """Motor torques (n,) N m on the wheels for a body torque `command` (3,) N m."""
+        speeds = counted("wheels of the state", x.wheels, self.distribution.shape[0], "wheel")
         u = jnp.clip(jnp.asarray(self.distribution) @ command, -self.torque_limit, self.torque_limit)
-        faster = u * jnp.asarray(x.wheels) > 0
-        return s, jnp.where(faster & (jnp.abs(jnp.asarray(x.wheels)) >= self.speed_limit), 0.0, u)
+        return s, jnp.where((u * speeds > 0) & (jnp.abs(speeds) >= self.speed_limit), 0.0, u)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from plants.checks import Numbers, positive
+from plants.checks import Numbers, counted, positive
 from plants.dynamics.cmgs import Cmgs
 from plants.errors import ScenarioError
 from plants.simulation import blocks
@@ -64,8 +64,9 @@ class CmgSteering:
     def apply(self, s: tuple[()], command: ArrayLike, x: Any) -> tuple[tuple[()], Array]:
         """Gimbal rates (m,) rad/s for a torque on the body (3,) N m, at a plant state with `gimbals` (m,) rad."""
         size = jnp.mean(jnp.asarray(self.cmgs.momenta))
-        J = self.cmgs.jacobian(x.gimbals) / size
-        lack = jnp.maximum(1.0 - self.cmgs.singularity(x.gimbals) / size**3 / self.threshold, 0.0)
+        gimbals = counted("gimbals of the state", x.gimbals, self.cmgs.momenta.shape[0], "gyroscope")
+        J = self.cmgs.jacobian(gimbals) / size
+        lack = jnp.maximum(1.0 - self.cmgs.singularity(gimbals) / size**3 / self.threshold, 0.0)
         spread = J @ J.T + self.damping * lack**2 * jnp.eye(3)
         rates = -J.T @ jnp.linalg.solve(spread, jnp.asarray(command) / size)
         return s, rates / jnp.maximum(1.0, jnp.max(jnp.abs(rates)) / self.max_rate)

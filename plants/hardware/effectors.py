@@ -103,6 +103,7 @@ def equip(
     wanted_speeds: ArrayLike | None = None,
     null_rate: ArrayLike | None = None,
     minimax: bool = False,
+    spanning: bool = True,
     disturbances: tuple[Disturbance, ...] = (),
     physical: bool = True,
 ) -> tuple[Satellite, Effectors]:
@@ -113,7 +114,7 @@ def equip(
     inertia : (3, 3) kg m^2, or (3,) its diagonal, with the wheels at rest relative to the body
     wheels : data sheets, of different kinds if need be
     magnetorquers, thrusters, cmgs : what else there is; wheels or cmgs, not both
-    wanted_speeds, null_rate, minimax : as in `WheelArray.create`
+    wanted_speeds, null_rate, minimax, spanning : as in `WheelArray.create`
     disturbances, physical : as in `RigidBody.create`
 
     Returns
@@ -144,5 +145,7 @@ def equip(
     )
     array = None
     if wheels:
-        array = WheelArray.create(wheels, wanted_speeds=wanted_speeds, null_rate=null_rate, minimax=minimax)
+        array = WheelArray.create(
+            wheels, wanted_speeds=wanted_speeds, null_rate=null_rate, minimax=minimax, spanning=spanning
+        )
     return plant, Effectors(wheels=array, cmgs=cmgs, magnetorquers=magnetorquers, thrusters=thrusters)

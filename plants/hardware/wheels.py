@@ -11,7 +11,7 @@ from jax import Array
 from jax.core import Tracer
 from jax.typing import ArrayLike
 
-from plants.checks import Numbers, positive, real, unit
+from plants.checks import Numbers, counted, positive, real, unit
 from plants.dynamics.rotors import column
 from plants.errors import ScenarioError
 from plants.hardware import sharing
@@ -175,6 +175,7 @@ class WheelArray:
         wanted_speeds: ArrayLike | None = None,
         null_rate: ArrayLike | None = None,
         minimax: bool = False,
+        spanning: bool = True,
     ) -> "WheelArray":
         """An array from the data sheets of its wheels.
 
@@ -185,20 +186,23 @@ class WheelArray:
             not in the null space (of the momenta) is left to the torque that is asked for
         null_rate : () 1/s, at which the wanted point is approached; with `wanted_speeds`
         minimax : whether the largest motor torque (in parts of its limit) is least, instead of the sum of squares
+        spanning : False takes axes that do not span space, as of one momentum wheel: torques across them are not made
 
         Raises
         ------
         ScenarioError
-            No wheels, axes that do not span space; wanted speeds of another number, beyond the limit, without null
-            space or without rate; a minimax distribution of unlimited torques.
+            No wheels, axes that do not span space though they should or minimax needs it; wanted speeds of another
+            number, beyond the limit, without null space or without rate; a minimax distribution of unlimited torques.
         """
         wheels = tuple(wheels)
         if not wheels:
             raise ScenarioError("wheels = []: give at least three data sheets")
         G, n = axes_of(wheels), len(wheels)
         numbers = {name: column(wheels, name) for name in ("max_torque", "max_speed", "inertia")}
-        if np.linalg.matrix_rank(G) < 3:
-            raise ScenarioError(f"axes of the wheels must span space, got {G.T.tolist()}: three independent at least")
+        if (spanning or minimax) and np.linalg.matrix_rank(G) < 3:
+            raise ScenarioError(
+                f"axes of the wheels must span space, got {G.T.tolist()}: three independent at least, or spanning=False"
+            )
         if (wanted_speeds is None) != (null_rate is None):
             raise ScenarioError("wanted_speeds and null_rate come together: give both or neither")
         idle = np.eye(n) - np.linalg.pinv(G) @ G
@@ -206,9 +210,9 @@ class WheelArray:
         if wanted_speeds is not None:
             speeds = real("wanted_speeds", wanted_speeds, (n,))
             wanted = numbers["inertia"] * speeds
-            if (np.abs(speeds) > numbers["max_speed"]).any():
+            if not isinstance(numbers["max_speed"], Tracer) and (np.abs(speeds) > numbers["max_speed"]).any():
                 raise ScenarioError(f"wanted_speeds = {speeds.tolist()} rad/s exceed max_speed of a wheel: stay below")
-            if np.linalg.norm(idle @ wanted) <= 1e-9 * np.linalg.norm(wanted):
+            if not isinstance(wanted, Tracer) and np.linalg.norm(idle @ wanted) <= 1e-9 * np.linalg.norm(wanted):
                 raise ScenarioError(
                     f"wanted_speeds = {speeds.tolist()} rad/s have no part in the null space of the axes, where the "
                     "body feels nothing: give speeds along it (four wheels at least)"
@@ -248,7 +252,7 @@ class WheelArray:
 
     def torques(self, command: ArrayLike, x: Any, h: ArrayLike) -> Array:
         """Motor torques (n,) N m within all limits, in whole steps, without noise; see `apply`."""
-        Om = jnp.asarray(x.wheels)
+        Om = counted("wheels of the state", x.wheels, self.channels, "wheel")
         most = jnp.clip((self.max_speed - Om) * self.inertia / h, 0.0, self.max_torque)
         least = -jnp.clip((self.max_speed + Om) * self.inertia / h, 0.0, self.max_torque)
         u = jnp.clip(sharing.smallest(self.maps, command, self.max_torque), least, most)

@@ -130,6 +130,8 @@ def test_random_torque():
 def test_what_is_refused():
     with pytest.raises(ScenarioError, match="symmetric positive definite"):
         EulerBody.create(np.diag([1.0, -1, 1]), wheel_inertia=WHEELS)
+    with pytest.raises(ScenarioError, match="which no body has"):
+        EulerBody.create([1.0, 0.1, 0.1], wheel_inertia=WHEELS)
     with pytest.raises(ScenarioError, match="wheel_inertia must be positive"):
         EulerBody.create(INERTIA, wheel_inertia=np.zeros(3))
     with pytest.raises(ScenarioError, match="period = 0"):

@@ -200,7 +200,7 @@ def test_moments_of_no_body_fly_when_they_are_meant():
 @pytest.mark.parametrize("wheels", [np.zeros(3), np.zeros(0)])
 def test_wrong_numbers_of_wheels_are_named(wheels):
     x = BodyState(np.array([1.0, 0, 0, 0]), np.zeros(3), wheels)
-    with pytest.raises(ScenarioError, match=r"wheels has shape \(.*give \(4,\)"):
+    with pytest.raises(ScenarioError, match=r"wheels of the state has shape \(.*give \(4,\)"):
         with_wheels().derivative(x, np.zeros(4), FreeSpace().at(0.0))
     with pytest.raises(ScenarioError, match=r"motor torques has shape \(3,\): give \(4,\)"):
         with_wheels().derivative(x._replace(wheels=np.zeros(4)), np.zeros(3), FreeSpace().at(0.0))

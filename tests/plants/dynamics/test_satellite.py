@@ -15,7 +15,9 @@ from plants.dynamics.rigidbody import BodyState, RigidBody, state_from
 from plants.dynamics.satellite import Satellite, SatelliteState
 from plants.errors import ScenarioError
 from plants.geometry import attitude
+from plants.hardware.effectors import equip
 from plants.hardware.wheels import Wheel
+from plants.simulation.linearize import linearize
 from plants.simulation.simulate import Loop, Scenario, simulate
 from plants.surroundings import orbit
 from plants.surroundings.disturbances import ConstantTorque
@@ -265,6 +267,29 @@ def test_state_is_the_one_of_the_rigid_body_and_its_phase_stays_in_a_turn(shaken
     assert {np.asarray(part).dtype for part in x} == {np.dtype(float)}
     assert (shaken[1].states.phase >= 0).all()
     assert (shaken[1].states.phase < 2 * np.pi).all()
+
+
+def test_linear_model_is_the_one_of_the_rigid_body():
+    environment = CircularEnvironment.along(orbit.circular(470e3, 0.9, 2.0, 0.4))
+    plant = Satellite.create(FULL, wheels=wheels(dynamic_imbalance_g_cm2=1.0))
+    x = plant.state(REST, np.zeros(3), environment)
+    ours = linearize(plant, x, np.zeros(4), environment, hold=("wheels", "phase"))
+    theirs = linearize(plant.body, BodyState(*x[:3]), np.zeros(4), environment, hold=("wheels",))
+    for a, b in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-15 * max(1, np.abs(b).max()))
+
+
+def test_data_sheets_take_traced_numbers():
+    """Friction dispersed inside jit: the same as outside."""
+    x, env = at(Satellite.create(FULL, wheels=wheels()), wheels=[10.0, -20, 30, 5]), FreeSpace().at(0.0)
+
+    def rate(coulomb, imbalance):
+        sheet = wheels(coulomb=coulomb, dynamic_imbalance_g_cm2=imbalance)
+        plant, actuator = equip(FULL, wheels=sheet, wanted_speeds=[1.0, 1, -1, -1], null_rate=0.1)
+        start = x._replace(phase=np.zeros(4))
+        return plant.derivative(start, actuator.apply(actuator.init(), np.ones(3), x, np.zeros(4), 1.0)[1], env).wheels
+
+    np.testing.assert_allclose(jax.jit(rate)(COULOMB, 2.0), rate(COULOMB, 2.0), rtol=1e-12)
 
 
 def test_disturbances_act():

@@ -21,7 +21,7 @@ from plants.guidance.magnetic import (
     field_rate,
 )
 from plants.surroundings import orbit
-from plants.surroundings.environment import Environment
+from plants.surroundings.environment import Environment, FreeSpace
 
 vectors = st.tuples(*3 * [st.floats(-1, 1)]).map(np.array).filter(lambda v: np.linalg.norm(v) > 1e-3)
 units = st.sampled_from([1e-9, 1e-3, 1.0, 1e4])
@@ -29,7 +29,7 @@ units = st.sampled_from([1e-9, 1e-3, 1.0, 1e4])
 
 @pytest.fixture(scope="module")
 def flown():
-    """Field over two orbits, (n, 3) T in frame O, its times and the rate of O."""
+    """Field over two orbits, (n, 3) T in frame O, its times, the rate of O, and the environment."""
     with jax.enable_x64(True):
         start = orbit.circular(500e3, np.radians(97.4), 1.0)
         period = 2 * np.pi / float(orbit.rate(start.r))
@@ -37,7 +37,7 @@ def flown():
         times = np.linspace(0, 2 * period, 1201)
         env = jax.jit(jax.vmap(environment.at))(times)
         field = np.asarray(attitude.rotate(env.q_ON, env.B))
-        return period, times, field, np.asarray(env.w_ON).mean(axis=0)
+        return (period, times, field, np.asarray(env.w_ON).mean(axis=0)), environment
 
 
 @settings(max_examples=50, deadline=None)
@@ -104,7 +104,7 @@ START = np.array([6e-3, -8e-3, 5e-3])  # N m s
 
 
 def test_cross_product_dumps_over_an_orbit(flown):
-    left = np.linalg.norm(dumped(CrossProductDumping.create(1e-3, limit=0.2), flown, START), axis=1)
+    left = np.linalg.norm(dumped(CrossProductDumping.create(1e-3, limit=0.2), flown[0], START), axis=1)
     assert (np.diff(left) < 1e-9).all()  # a torque towards zero never adds to it
     assert left[600] < 0.1 * left[0]
     assert left[-1] < 0.02 * left[0]
@@ -112,8 +112,11 @@ def test_cross_product_dumps_over_an_orbit(flown):
 
 def test_lqr_dumps_and_costs_less_than_the_cross_product(flown):
     """Its spectral radius is that of the simulated orbit, and no cross-product gain is cheaper by its criterion."""
-    period, times, field, rate = flown
-    law = LqrDumping.create(field[:601], period, dipole=0.05, momentum=5e-3, rate=rate)
+    orbits, environment = flown
+    period, times, field, rate = orbits
+    law = LqrDumping.along(environment, period, dipole=0.05, momentum=5e-3)
+    same = LqrDumping.create(field[:600], period, dipole=0.05, momentum=5e-3, rate=rate)
+    np.testing.assert_allclose(law.gain, same.gain, rtol=0, atol=1e-3 * np.abs(same.gain).max())
 
     def cost(law, h):
         m = np.array([law.dipole(*row) for row in zip(h, field, strict=True)])
@@ -123,7 +126,7 @@ def test_lqr_dumps_and_costs_less_than_the_cross_product(flown):
     transition = np.stack([dumped(law, (period, times[:601], field[:601], rate), e)[-1] for e in np.eye(3)], axis=1)
     assert np.abs(np.linalg.eigvals(transition)).max() == pytest.approx(float(law.radius), rel=0.05)
     others = [CrossProductDumping.create(k) for k in (3e-4, 5e-4, 8e-4)]
-    assert cost(law, dumped(law, flown, START)) < min(cost(other, dumped(other, flown, START)) for other in others)
+    assert cost(law, dumped(law, orbits, START)) < min(cost(other, dumped(other, orbits, START)) for other in others)
 
 
 @settings(max_examples=20, deadline=None)
@@ -154,6 +157,7 @@ ALONG = np.tile([0.0, 3e-5, 0.0], (20, 1))
         (lambda: LqrDumping.create(ALONG[:3], 5400.0, dipole=0.1, momentum=0.1), "at least 8 points"),
         (lambda: LqrDumping.create(0 * ALONG, 5400.0, dipole=0.1, momentum=0.1), "field must be positive"),
         (lambda: LqrDumping.create(ALONG, 5400.0, dipole=0.0, momentum=0.1), "dipole must be positive"),
+        (lambda: LqrDumping.along(FreeSpace(), 5400.0, dipole=0.1, momentum=0.1), "gives no magnetic field"),
         (lambda: bdot_gain(1e-3, 1.0, 0.0), "least_inertia must be positive"),
     ],
 )

@@ -1,5 +1,7 @@
 """Reaction wheels: distribution, limits, and what they do to a body."""
 
+from dataclasses import dataclass
+
 import jax
 import numpy as np
 import pytest
@@ -7,9 +9,24 @@ import pytest
 from plants.dynamics.rigidbody import BodyState, RigidBody
 from plants.errors import ScenarioError
 from plants.hardware.actuators import ReactionWheels
+from plants.simulation.simulate import Loop, Scenario, simulate
 from plants.surroundings.environment import FreeSpace
 
 PYRAMID = np.array([[1, -1, 0, 0], [0, 0, 1, -1], [1, 1, 1, 1]]) / np.sqrt(2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Held:
+    """A controller that always asks for the same."""
+
+    dt: float
+    command: np.ndarray
+
+    def init(self):
+        return ()
+
+    def step(self, state, y, r):
+        return state, self.command
 
 
 @pytest.fixture(autouse=True)
@@ -56,6 +73,19 @@ def test_at_the_speed_limit_only_the_torque_that_slows_down_is_left():
     ):
         _, u = wheels.apply((), ask, state(speeds))
         np.testing.assert_array_equal(u, expected)
+
+
+def test_speeds_of_other_wheels_are_named_before_the_flight():
+    """Through the simulator: four speeds for three wheels, and wheels that the plant has not."""
+    body = RigidBody.create([0.05, 0.06, 0.07], wheel_axes=np.eye(3), wheel_inertia=np.full(3, 1e-5))
+    for axes, speeds, message in (
+        (np.eye(3), np.zeros(4), r"wheels of the state has shape \(4,\): give \(3,\), one for each wheel"),
+        (PYRAMID, np.zeros(4), r"wheels of the state has shape \(4,\): give \(3,\)"),
+        (PYRAMID, np.zeros(3), r"wheels of the state has shape \(3,\): give \(4,\)"),
+    ):
+        loop = Loop(plant=body, actuator=ReactionWheels.create(axes), controller=Held(dt=1.0, command=np.zeros(3)))
+        with pytest.raises(ScenarioError, match=message):
+            simulate(loop, Scenario(initial=state(speeds), dt=1.0, periods=1, environment=FreeSpace()))
 
 
 @pytest.mark.parametrize(

@@ -205,6 +205,16 @@ def test_noise_in_a_flight_does_not_depend_on_the_number_of_samples():
         assert run.ok
 
 
+def test_one_momentum_wheel_makes_the_torque_along_its_axis():
+    one = [Wheel.create([0, 1.0, 0], **SHEET)]
+    with pytest.raises(ScenarioError, match="spanning=False"):
+        WheelArray.create(one)
+    array = WheelArray.create(one, spanning=False)
+    np.testing.assert_allclose(array.torques(np.array([1e-4, 2e-4, 3e-4]), at([100.0]), 1.0), [-2e-4], rtol=1e-12)
+    with pytest.raises(ScenarioError, match="axes of the wheels must span space"):
+        WheelArray.create(one, spanning=False, minimax=True)
+
+
 ONE = {"axis": [1.0, 0, 0], **SHEET}
 
 
