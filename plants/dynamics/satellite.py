@@ -136,6 +136,13 @@ class Satellite:
         turn = np.inf if self.imbalance is None else 2 * np.pi / float(self.fastest) / TURN
         return min(rest, turn)
 
+    def check(self, x: SatelliteState) -> None:
+        """Raise `ScenarioError` for a state that this satellite cannot have, as `RigidBody.check`."""
+        self.body.check(BodyState(x.q, x.w, x.wheels))
+        n, m, _, _ = self.sizes
+        counted("initial.phase", x.phase, 0 if self.imbalance is None else n, "rotor that is not balanced")
+        counted("initial.gimbals", x.gimbals, m, "gyroscope")
+
     def split(self, u: ArrayLike) -> Effort:
         """The parts of an input; ScenarioError if it has another length."""
         u, (n, m, c, t) = jnp.asarray(u), self.sizes

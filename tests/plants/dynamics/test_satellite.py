@@ -333,3 +333,8 @@ def test_a_state_of_another_satellite_is_refused():
     for part, value in (("phase", np.zeros(0)), ("gimbals", np.zeros(2)), ("wheels", np.zeros(3))):
         with pytest.raises(ScenarioError, match=f"{part}.* has shape"):
             plant.derivative(x._replace(**{part: value}), np.zeros(4), FreeSpace().at(0.0))
+        with pytest.raises(ScenarioError, match=f"initial.{part} has shape"):
+            plant.check(x._replace(**{part: value}))
+    with pytest.raises(ScenarioError, match=r"initial.q has length 2"):
+        plant.check(x._replace(q=2 * REST))
+    plant.check(x)
