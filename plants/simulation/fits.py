@@ -90,6 +90,12 @@ def check_numbers(loop: Loop, scenario: Scenario) -> None:
             f"environment lasts {lasts:g} s, the flight {scenario.periods * scenario.dt:g} s: "
             "build the environment for a longer `duration`, or fly fewer periods"
         )
+    step, longest = scenario.h / scenario.steps, getattr(loop.plant, "longest_step", np.inf)
+    if step > longest * (1 + 1e-9):
+        raise ScenarioError(
+            f"the plant is integrated in steps of {step:.4g} s, but its `longest_step` is {longest:.4g} s: raise "
+            "`samples` or `steps`, or leave out what is fast (imbalance of wheels, dry friction over a small `creep`)"
+        )
     judge = getattr(loop.plant, "check", None)
     if judge is not None:
         _check_kind(loop, scenario.initial)

@@ -178,7 +178,7 @@ def test_everything_flies():
     command = np.concatenate([[1e-5, 0, 2e-5], [0.1, 0.2, -0.3]])
     loop = Loop(plant=plant, actuator=actuator, controller=Held(dt=1.0, command=command))
     start = plant.state(REST, np.zeros(3), Field())
-    run = simulate(loop, Scenario(initial=start, dt=1.0, periods=5, samples=400, environment=Field()))
+    run = simulate(loop, Scenario(initial=start, dt=1.0, periods=2, samples=2000, environment=Field()))
     assert run.ok
     assert run.compiled
     assert np.abs(run.inputs[:, :4]).min() > 0
