@@ -55,7 +55,7 @@ def run_plot(
     names = tuple(names) or (*(f"y{i}" for i in shown), *(f"u{i}" for i in sent))
     if len(names) != len(shown) + len(sent):
         raise ScenarioError(f"names has {len(names)} entries: give {len(shown) + len(sent)}, outputs first")
-    axes = _axes(ax, len(names), rows=len(names))
+    axes = axes_for(ax, len(names), rows=len(names))
     for each, i in zip(axes, shown, strict=False):
         line = each.plot(run.time, run.outputs[:, i], label=label or "output")[0]
         named = "reference" in each.get_legend_handles_labels()[1]  # of another run
@@ -100,7 +100,7 @@ def campaign_plot(
     if unknown:
         raise ScenarioError(f"results: the campaign has no {unknown[0]!r}; it has {', '.join(found)}")
     chosen = {name: found[name] for name in results or found}
-    axes = _axes(ax, len(chosen), rows=-(-len(chosen) // COLUMNS))
+    axes = axes_for(ax, len(chosen), rows=-(-len(chosen) // COLUMNS))
     for each, (name, values) in zip(axes, chosen.items(), strict=True):
         if values.dtype == bool:
             share = values.reshape(len(values), -1).mean(axis=0)
@@ -149,7 +149,7 @@ def _columns(name: str, chosen: Sequence[int] | None, size: int) -> list[int]:
     return columns
 
 
-def _axes(ax: Any, count: int, rows: int) -> np.ndarray:
+def axes_for(ax: Any, count: int, rows: int) -> np.ndarray:
     """The caller's axes, checked, or new ones."""
     if count < 1:
         raise ScenarioError("nothing to show: choose at least one output, command or result")

@@ -7,6 +7,7 @@ elsewhere fits without knowing this package, because protocols are structural.
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 import jax
@@ -201,6 +202,30 @@ class Run:
     culprit: str  # "controller", "plant", "sensors" or "navigator"; "" if ok
     compiled: bool  # whether the controller was compiled with the loop or stepped from Python
     memory: Any = None  # the controller's state at the end: its counters, for example
+
+    def plot(self, ax: Any = None, **options: Any) -> np.ndarray:
+        """Draw the run; see `plants.attitude_plot` for a body with an attitude, `plants.run_plot` for others."""
+        from plants.outcome.attitudeplots import flight_plot  # a convenience from above
+
+        return flight_plot(self, ax, **options)
+
+    def sphere_plot(self, axis: ArrayLike, **options: Any) -> np.ndarray:
+        """Draw where a body axis points; see `plants.attitude_sphere`."""
+        from plants.outcome.spheres import attitude_sphere
+
+        return attitude_sphere(self, axis, **options)
+
+    def to_parquet(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
+        """Write a row for each sample as Parquet; see `plants.run_table` for the columns."""
+        from plants.outcome.tables import write_parquet
+
+        return write_parquet(self, path, force=force)
+
+    def to_csv(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
+        """Write a row for each sample as CSV; see `plants.run_table` for the columns."""
+        from plants.outcome.tables import write_csv
+
+        return write_csv(self, path, force=force)
 
 
 def _plain(values: Any) -> bool:
