@@ -140,6 +140,8 @@ if TYPE_CHECKING:
     from plants.outcome import figures as figures
     from plants.outcome import report as report
     from plants.outcome import study as study
+    from plants.outcome.attitudeplots import attitude_plot as attitude_plot
+    from plants.outcome.attitudeplots import wheel_speed_plot as wheel_speed_plot
     from plants.outcome.budgets import Budget as Budget
     from plants.outcome.budgets import Levels as Levels
     from plants.outcome.budgets import Spread as Spread
@@ -164,12 +166,16 @@ if TYPE_CHECKING:
     from plants.outcome.report import Claim as Claim
     from plants.outcome.report import Requirement as Requirement
     from plants.outcome.report import Section as Section
+    from plants.outcome.spheres import attitude_sphere as attitude_sphere
+    from plants.outcome.spheres import body_axis as body_axis
+    from plants.outcome.spheres import ground_track_plot as ground_track_plot
     from plants.outcome.study import Statement as Statement
     from plants.outcome.study import Table as Table
     from plants.outcome.study import Verdict as Verdict
     from plants.outcome.study import campaigns as campaigns
     from plants.outcome.study import drawings as drawings
     from plants.outcome.study import either as either
+    from plants.outcome.tables import run_table as run_table
     from plants.outcome.worstbudget import WorstBudget as WorstBudget
     from plants.outcome.worstbudget import worst_budget as worst_budget
     from plants.simulation import blocks as blocks
@@ -374,10 +380,13 @@ _HOME = {  # of a name; modules are their own home
     "airbearing": "missions.airbearing",
     "amazonia1": "missions.amazonia1",
     "attitude": "geometry.attitude",
+    "attitude_plot": "outcome.attitudeplots",
+    "attitude_sphere": "outcome.spheres",
     "attitude_suite": "hardware.sensors",
     "bdot": "guidance.magnetic",
     "bdot_gain": "guidance.magnetic",
     "blocks": "simulation.blocks",
+    "body_axis": "outcome.spheres",
     "budget": "outcome.budgets",
     "campaign": "simulation.campaign",
     "campaign_plot": "outcome.plots",
@@ -399,6 +408,7 @@ _HOME = {  # of a name; modules are their own home
     "figures": "outcome.figures",
     "geo": "missions.geo",
     "ground_track": "surroundings.ground",
+    "ground_track_plot": "outcome.spheres",
     "indices": "outcome.indices",
     "kalman": "estimation.kalman",
     "keplerian": "surroundings.orbit",
@@ -418,6 +428,7 @@ _HOME = {  # of a name; modules are their own home
     "replay_case": "simulation.campaign",
     "report": "outcome.report",
     "run_plot": "outcome.plots",
+    "run_table": "outcome.tables",
     "sampled_loop": "outcome.budgets",
     "sequence": "guidance.sequences",
     "settling_time": "outcome.indices",
@@ -435,6 +446,7 @@ _HOME = {  # of a name; modules are their own home
     "wahba_covariance": "estimation.wahba",
     "wahba_pair": "estimation.wahba",
     "wahba_svd": "estimation.wahba",
+    "wheel_speed_plot": "outcome.attitudeplots",
     "windows": "outcome.indices",
     "worst_budget": "outcome.worstbudget",
     "worst_flights": "simulation.worstflights",
