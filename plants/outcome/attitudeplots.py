@@ -218,8 +218,11 @@ def _draw(ax: Any, time: np.ndarray, panel: Panel) -> None:
         ax.yaxis.set_major_formatter("{x:g}")
     elif panel.bounds and panel.bound == "requirement" and peak > FAR * panel.bounds[0]:
         ax.set_yscale("symlog", linthresh=panel.bounds[0])
+        ends = [10.0 ** np.floor(np.log10(peak)), panel.bounds[0]]
+        ax.set_yticks([ends[0], ends[1], 0.0, -ends[1], -ends[0]])
         ax.yaxis.set_major_formatter("{x:g}")
-    ax.set_ylabel(panel.label.replace(", ", ",\n"))
+    ax.set_ylabel(panel.label.replace(", ", ",\n"), fontsize="small")
+    ax.tick_params(labelsize="small")
     if len(panel.names) > 1 or panel.bounds:
         ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.05), fontsize="small", frameon=False, borderaxespad=0.3)
     if len(time) > 1:
@@ -256,7 +259,7 @@ def _tell_modes(ax: Any, bands: Sequence[tuple[float, float, int]], names: Seque
     place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "fontsize": "small", "frameon": False}
     ax.legend(handles=patches, ncols=min(5, len(order)), borderaxespad=0.2, **place)
     if lines is not None:
-        ax.add_artist(lines)
+        ax.add_artist(lines).set_clip_on(False)  # so that the layout makes room for it
 
 
 def _level(name: str, value: float | None) -> list[float]:

@@ -85,9 +85,9 @@ def attitude_sphere(run: Run, axis: ArrayLike, *, frame: str = "N", ax: Any = No
     chart.set_xticks(np.radians([-120, -60, 0, 60, 120]))
     chart.set_yticks(np.radians([-60, -30, 0, 30, 60]))
     chart.tick_params(labelsize="small")
-    chart.set_title(f"body axis {_told(axis)} in {FRAMES[frame]}\nazimuth and elevation, deg", fontsize="medium")
-    chart.legend(loc="upper center", bbox_to_anchor=(0.5, -0.02), ncols=2, fontsize="small", frameon=False)
-    chart.figure.colorbar(dots, ax=chart, orientation="horizontal", shrink=0.7, label="time, s", pad=0.16)
+    chart.set_title(f"body axis {_told(axis)} in {FRAMES[frame]}, azimuth and elevation", fontsize="medium", pad=12)
+    chart.legend(loc="lower left", bbox_to_anchor=(0.0, -0.2), fontsize="small", frameon=False)
+    chart.figure.colorbar(dots, ax=ball, shrink=0.7, label="time, s")
     _sphere(ball)
     ball.plot(*points.T, color="0.5", lw=0.7)
     ball.scatter(*points.T, c=run.time, s=5, lw=0)
@@ -164,7 +164,7 @@ def _sphere(ax: Any) -> None:
         tip = 1.25 * np.eye(3)[k]
         ax.plot(*np.stack([np.zeros(3), tip]).T, color="0.4", lw=0.8)
         ax.text(*(1.1 * tip), name, color="0.3", ha="center", va="center")
-    ax.set_box_aspect((1, 1, 1))
+    ax.set_box_aspect((1, 1, 1), zoom=1.4)
     ax.set_axis_off()
 
 
