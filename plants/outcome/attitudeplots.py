@@ -59,7 +59,7 @@ def flight_plot(run: Run, ax: Any = None, **options: Any) -> np.ndarray:
 
 def has_attitude(run: Run) -> bool:
     """Whether the plant is a body with a quaternion, whose outputs begin with the vector part of an error."""
-    shapes = [np.shape(getattr(run.states, name, None)) for name in ("q", "w")]
+    shapes = [np.shape(getattr(run.states, name, ())) for name in ("q", "w")]
     n = len(run.time)
     return shapes == [(n, 4), (n, 3)] and run.outputs.ndim == 2 and run.outputs.shape[1] >= 6
 
