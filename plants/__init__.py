@@ -11,8 +11,8 @@
                    `CrossProduct` dumping
     simulation     `Loop` and `Scenario` go into `simulate`, `simulate_many`, `campaign`, `worst_flights`, `linearize`;
                    a `Run` comes out; `Store` reads what a campaign has stored, `sweep` goes through designs
-    outcome        `indices`, `budget`, `nees`, `settling_time`, `run_plot`, `campaign_plot`; `report` and `study` make
-                   pages
+    outcome        `indices`, `budget`, `nees`, `settling_time`, `run_plot`, `attitude_plot`, `attitude_sphere`,
+                   `campaign_plot`; `run_table`; `report` and `study` make pages
     missions       `cubesat3u`, `amazonia1`, `airbearing`, `geo`: the numbers of the studies
 
 The names below are imported when they are first used, so that ``import plants`` costs nothing.

@@ -3,7 +3,7 @@
 PlantError
  ├─ ScenarioError  a number of a plant, sensor, scenario or campaign is not usable; names field, value, remedy
  │   └─ SingularityError  an attitude at which the coordinates have no rate
- ├─ StoreError     a folder of flown runs is damaged, another study's, in use, or cannot be written
+ ├─ StoreError     a file or folder of flown runs is damaged, another study's, in use, or cannot be written
  └─ EngineError    the processes or the cluster that should do the work cannot
 """
 
@@ -21,7 +21,7 @@ class SingularityError(ScenarioError):
 
 
 class StoreError(PlantError, ValueError):
-    """A folder of flown runs is not usable; the message names the file, what is wrong and the remedy."""
+    """A file or folder of flown runs is not usable; the message names the file, what is wrong and the remedy."""
 
 
 class EngineError(PlantError, RuntimeError):

@@ -24,6 +24,7 @@ RPM = np.pi / 30  # rad/s
 SAME = 1e-9  # rad, rad/s: estimates that are closer to the outputs are the outputs
 AXES = ("x", "y", "z")
 ANGLES = ("roll", "pitch", "yaw")
+LEAST = 0.01  # share of the samples that may lie below a logarithmic scale
 FAR = 20  # times the requirement, from which errors are shown on a scale that is logarithmic beyond it
 
 
@@ -83,9 +84,9 @@ def attitude_plot(
     ----------
     run : of a plant whose state has q (N, 4) and w (N, 3), and may have wheels (N, n)
     ax : one axes for each panel shown; new ones by default
-    panels : of "angle", "axes", "estimate", "rate", "torque", "motors" or "acting", "dipole", "acting dipole" and
-        "wheels"; by default all that the run has: an estimate where it differs from the output, a dipole moment where
-        commands have six entries
+    panels : of "angle", "axes", "estimate", "rate", "torque", "motors", "gimbals", "acting", "dipole", "acting dipole"
+        and "wheels"; by default all that the run has: an estimate where it differs from the output, a dipole moment
+        where commands have six entries
     requirement : () rad, of the pointing error
     speed_limit : () rad/s, of the wheels
     torque_limit : () N m, of the wheels' motors
@@ -172,25 +173,30 @@ def _panels(
 
 
 def _efforts(run: Run, limit: Sequence[float]) -> dict[str, Panel]:
-    """Torques as asked for and as they act, dipole moments."""
-    wheels = np.shape(getattr(run.states, "wheels", np.zeros((0, 0))))[-1]
-    rest = wheels + np.shape(getattr(run.states, "gimbals", np.zeros((0, 0))))[-1]
-    motors, other, asked = run.inputs[:, :wheels], run.inputs[:, rest:], run.commands
+    """Torques and dipole moments as asked for, and as they act: the input of `RigidBody` or of `Satellite`."""
+    n = np.shape(getattr(run.states, "wheels", np.zeros((0, 0))))[-1]
+    gimbals = np.shape(_field(run.states, "gimbals", np.zeros((0, 0))))[-1]
+    asked, motors, rates, rest = run.commands, *np.split(run.inputs, [n, n + gimbals], axis=1)
     dipoles = asked.shape[1] == 6  # torque, dipole moment
+    magnetic = 3 * (dipoles and hasattr(run.states, "gimbals"))  # `Satellite` makes the torque of a dipole itself
+    dipole, torque = rest[:, :magnetic], rest[:, magnetic:]
+    bounds = [sign * 1e3 * a for a in limit for sign in (1, -1)]
     found = {}
     if asked.shape[1] in (3, 6):
         found["torque"] = Panel("commanded torque, mN m", 1e3 * asked[:, :3], AXES, held=True)
-    if wheels and motors.shape[1] == wheels:
-        bounds = [sign * 1e3 * a for a in limit for sign in (1, -1)]
-        names = [f"motor {i}" for i in range(wheels)]
+    if n and motors.shape[1] == n:
+        names = [f"motor {i}" for i in range(n)]
         found["motors"] = Panel("wheel torque, mN m", 1e3 * motors, names, bounds, "limit" if bounds else "", held=True)
-    elif not wheels and other.shape[1] == 3 and not dipoles:
-        found["acting"] = Panel("acting torque, mN m", 1e3 * other, AXES, held=True)
+    if gimbals and rates.shape[1] == gimbals:
+        found["gimbals"] = Panel(
+            "gimbal rate, deg/s", np.degrees(rates), [f"gimbal {i}" for i in range(gimbals)], held=True
+        )
+    if torque.shape[1] == 3:
+        found["acting"] = Panel("acting torque, mN m", 1e3 * torque, AXES, held=True)
     if dipoles:
-        acts = other[:, :3] if other.shape[1] in (3, 6) else None
         found["dipole"] = Panel("commanded dipole, A m²", asked[:, 3:], AXES, held=True)
-        if acts is not None and wheels:
-            found["acting dipole"] = Panel("acting dipole, A m²", acts, AXES, held=True)
+    if dipole.shape[1] == 3:
+        found["acting dipole"] = Panel("acting dipole, A m²", dipole, AXES, held=True)
     return found
 
 
@@ -213,8 +219,10 @@ def _draw(ax: Any, time: np.ndarray, panel: Panel) -> None:
     for i, bound in enumerate(panel.bounds):
         ax.axhline(bound, color=BOUND, ls="--", lw=1.0, label=None if i else panel.bound)
     peak = np.max(np.abs(panel.values), initial=0.0, where=np.isfinite(panel.values))
-    if panel.log and (panel.values > 0).any():
+    there = panel.values[panel.values > 0]
+    if panel.log and there.size:
         ax.set_yscale("log")
+        ax.set_ylim(bottom=0.5 * min([np.quantile(there, LEAST), *panel.bounds]))  # not a moment at 1e-13 deg
         ax.yaxis.set_major_formatter("{x:g}")
     elif panel.bounds and panel.bound == "requirement" and peak > FAR * panel.bounds[0]:
         ax.set_yscale("symlog", linthresh=panel.bounds[0])

@@ -46,7 +46,7 @@ def body_axis(run: Run, axis: ArrayLike, frame: str = "N") -> np.ndarray:
     if frame not in FRAMES:
         raise ScenarioError(f"frame = {frame!r}: give one of {', '.join(map(repr, FRAMES))}")
     with jax.enable_x64(True):
-        q = attitude.from_vector(run.outputs[:, :3]) if frame == "O" else run.states.q
+        q = attitude.from_vector_part(run.outputs[:, :3]) if frame == "O" else run.states.q
         return np.asarray(attitude.rotate(attitude.conjugate(q), np.broadcast_to(a, (len(run.time), 3))))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from attitude_runs import Recorded, attitude_run, turn
 
+from plants.dynamics.satellite import SatelliteState
 from plants.errors import ScenarioError
 from plants.outcome.attitudeplots import attitude_plot, wheel_speed_plot
 
@@ -59,25 +60,51 @@ def test_levels_are_lines_in_the_units_of_their_axes():
     assert [angle.get_yscale(), each.get_yscale(), wheels.get_yscale()] == ["log", "symlog", "linear"]
 
 
+def test_a_moment_without_an_error_does_not_rule_the_scale():
+    run = attitude_run(400)
+    error = np.c_[turn(np.where(np.arange(400) == 7, 1e-15, 0.01), [1, 0, 0]), np.zeros((400, 3))]
+    ax = dataclasses.replace(run, extra={"error": error}).plot(requirement=1e-4)[0]
+    low, high = ax.get_ylim()
+    assert np.degrees(1e-5) < low < np.degrees(1e-4)
+    assert np.degrees(0.01) < high < 10
+
+
 def test_without_a_navigator_there_is_no_error_of_an_estimate():
     run = attitude_run()
     axes = dataclasses.replace(run, estimates=run.outputs).plot()
     assert "estimate error, deg" not in by_label(axes)
 
 
-def test_dipole_moments_of_six_commands():
-    run = attitude_run()
-    dipoles = np.outer(np.sin(run.time), [0.1, 0.2, 0.3])
-    both = dataclasses.replace(run, commands=np.c_[run.commands, dipoles], inputs=np.c_[run.inputs, 0.5 * dipoles])
-    shown = by_label(both.plot())
-    np.testing.assert_array_equal(data(shown["commanded dipole, A m²"])["y"], dipoles[:, 1])
-    np.testing.assert_array_equal(data(shown["acting dipole, A m²"])["y"], 0.5 * dipoles[:, 1])
+@pytest.mark.parametrize(
+    ("wheels", "gimbals", "thrusters", "dipoles"),
+    [(4, 0, 0, 3), (4, 0, 3, 3), (3, 0, 3, 0), (0, 4, 3, 0), (0, 0, 0, 3), (0, 0, 3, 3), (0, 0, 3, 0)],
+)
+def test_the_parts_of_the_input_of_a_satellite(wheels, gimbals, thrusters, dipoles):
+    run = attitude_run(wheels=wheels)
+    n = len(run.time)
+    states = SatelliteState(*run.states, np.zeros((n, 0)), np.zeros((n, gimbals)))
+    inputs = np.random.default_rng(0).standard_normal((n, wheels + gimbals + dipoles + thrusters))
+    commands = np.c_[run.commands, np.ones((n, dipoles))]
+    run = dataclasses.replace(run, states=states, inputs=inputs, commands=commands)
+    shown = by_label(run.plot())
+    at = 0
+    for label, size, first, scale in (
+        ("wheel torque, mN m", wheels, "motor 0", 1e3), ("gimbal rate, deg/s", gimbals, "gimbal 0", 180 / np.pi),
+        ("acting dipole, A m²", dipoles, "x", 1.0), ("acting torque, mN m", thrusters, "x", 1e3),
+    ):  # fmt: skip
+        assert (label in shown) == (size > 0)
+        if size:
+            np.testing.assert_allclose(data(shown[label])[first], scale * inputs[:, at])
+        at += size
+    assert ("commanded dipole, A m²" in shown) == (dipoles > 0)
 
 
-def test_a_body_without_wheels_shows_the_torque_that_acts():
-    shown = by_label(attitude_run(wheels=0).plot())
+def test_the_torque_on_a_body_without_wheels():
+    run = attitude_run(wheels=0)
+    assert "acting torque, mN m" in by_label(run.plot())
+    shown = by_label(dataclasses.replace(run, commands=np.ones((len(run.time), 6))).plot())  # its actuator has a field
     assert "acting torque, mN m" in shown
-    assert not [name for name in shown if "wheel" in name]
+    assert "acting dipole, A m²" not in shown
 
 
 def test_modes_colour_the_background_and_count_from_their_frame():
