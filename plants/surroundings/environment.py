@@ -225,6 +225,7 @@ def visible_fraction(angle: ArrayLike) -> Array:
 
 def _fastest(start: Orbit) -> float:
     """Greatest angular rate () rad/s about the Earth of the ellipses from `start`, that of their perigees."""
+    start = orbit.state(start)
     h = np.linalg.norm(np.cross(start.r, start.v), axis=-1)
     perigee = h**2 / orbit.MU / (1 + orbit.elements(start).eccentricity)
     return float((h / perigee**2).max())
@@ -234,6 +235,8 @@ def _logarithm(atmosphere: Air | None, r: np.ndarray, epoch: datetime, times: np
     """Logarithm of the density (..., n): splines of it fall as the air does, and never below zero."""
     if atmosphere is None:
         return np.zeros(r.shape[:-1])
+    if not hasattr(atmosphere, "along"):
+        raise ScenarioError(f"atmosphere must be an object such as LayeredAtmosphere(), or None, got {atmosphere!r}")
     density = real("density", atmosphere.along(r, epoch, times), r.shape[:-1])
     return np.log(positive("density", density, r.shape[:-1]))
 

@@ -28,16 +28,9 @@ from plants.surroundings.ephemeris import Heavens
 from plants.surroundings.gravity import EGM96, Harmonics
 
 
-class _Everywhere:
-    """A force that is known everywhere."""
-
-    def check(self, r: np.ndarray, times: np.ndarray) -> None:
-        """Nothing to say."""
-
-
 @partial(blocks.node, data_fields=["harmonics"], meta_fields=[])
 @dataclass(frozen=True)
-class EarthShape(_Everywhere):
+class EarthShape:
     """Zonal and tesseral harmonics about the true pole, which precesses and nutates; J2 is one of them.
 
     To degree 3: in low orbit what is left out moves a satellite by some hundred metres in a day.
@@ -54,7 +47,7 @@ class EarthShape(_Everywhere):
 
 @partial(blocks.node, data_fields=[], meta_fields=[])
 @dataclass(frozen=True)
-class MoonGravity(_Everywhere):
+class MoonGravity:
     """The Moon as a third body."""
 
     def acceleration(self, r: Array, v: Array, heavens: Heavens) -> Array:
@@ -65,7 +58,7 @@ class MoonGravity(_Everywhere):
 
 @partial(blocks.node, data_fields=[], meta_fields=[])
 @dataclass(frozen=True)
-class SunGravity(_Everywhere):
+class SunGravity:
     """The Sun as a third body."""
 
     def acceleration(self, r: Array, v: Array, heavens: Heavens) -> Array:
@@ -76,7 +69,7 @@ class SunGravity(_Everywhere):
 
 @partial(blocks.node, data_fields=["coefficient"], meta_fields=[])
 @dataclass(frozen=True)
-class PressureForce(_Everywhere):
+class PressureForce:
     """Radiation pressure on a sphere, nothing in the Earth's shadow; build it with `create`."""
 
     coefficient: Numbers  # () m^2/kg, reflection coefficient (1 is black, 2 a mirror) times area over mass

@@ -56,14 +56,14 @@ class Elements(NamedTuple):
 
 
 class Force(Protocol):
-    """What acts on a satellite besides a spherical Earth; a frozen dataclass, registered by `blocks.node`."""
+    """What acts on a satellite besides a spherical Earth; a frozen dataclass of numbers, the user's own too.
+
+    One that is not known everywhere also has `check(r, times)`, which raises ScenarioError where a flight has left what
+    is known: r (..., n, 3) m at the times (n,) s.
+    """
 
     def acceleration(self, r: Array, v: Array, heavens: Heavens, /) -> Array:
         """Acceleration (3,) m/s^2 at r (3,) m and v (3,) m/s, frame N."""
-        ...
-
-    def check(self, r: np.ndarray, times: np.ndarray, /) -> None:
-        """ScenarioError where the force is not known along r (..., n, 3) m at the times (n,) s."""
         ...
 
 
@@ -81,9 +81,6 @@ class Oblateness:
         sine = r[..., 2:] ** 2 / square
         return -MU / square**1.5 * r * (1.5 * J2 * EARTH_RADIUS**2 / square * (1 - 5 * sine + jnp.asarray([0, 0, 2.0])))
 
-    def check(self, r: np.ndarray, times: np.ndarray) -> None:
-        """Known everywhere."""
-
 
 def circular(
     altitude: float, inclination: float, raan: ArrayLike = 0.0, argument_of_latitude: ArrayLike = 0.0
@@ -99,11 +96,13 @@ def circular(
     Raises
     ------
     ScenarioError
-        NaN, or an altitude that is not positive.
+        NaN, an altitude that is not positive, an inclination beyond pi (degrees?).
     """
+    real("altitude", altitude)
     if not altitude > 0:
         raise ScenarioError(f"altitude must be positive, got {altitude}: it is counted in m from the Earth's surface")
     real("inclination", inclination)
+    _in_radians(inclination)
     for name, angle in (("raan", raan), ("argument_of_latitude", argument_of_latitude)):
         real(name, angle, np.shape(angle))
     return _start(EARTH_RADIUS + altitude, 0.0, inclination, raan, 0.0, argument_of_latitude)
@@ -129,7 +128,8 @@ def keplerian(
     Raises
     ------
     ScenarioError
-        NaN, an orbit that is no ellipse, a perigee inside the Earth (equatorial radius), shapes that do not fit.
+        NaN, an orbit that is no ellipse, a perigee inside the Earth (equatorial radius), an inclination beyond pi
+        (degrees?), shapes that do not fit.
     """
     given = (semi_major_axis, eccentricity, inclination, raan, argument_of_perigee, true_anomaly)
     for name, number in zip(Elements._fields, given, strict=True):
@@ -141,6 +141,7 @@ def keplerian(
         raise ScenarioError(f"the elements must have shapes that broadcast, got {shapes}") from error
     if not ((e >= 0) & (e < 1)).all():
         raise ScenarioError(f"eccentricity must lie in [0, 1), got {e.tolist()}: only ellipses come back")
+    _in_radians(angles[0])
     perigee = a * (1 - e)
     if not (perigee > EARTH_RADIUS).all():
         raise ScenarioError(
@@ -148,6 +149,14 @@ def keplerian(
             f"inside the Earth ({EARTH_RADIUS:g} m): both are counted from its centre"
         )
     return _start(a, e, *angles)
+
+
+def _in_radians(inclination: ArrayLike) -> None:
+    """ScenarioError for an inclination (...) rad that is none."""
+    if not ((np.asarray(inclination) >= 0) & (np.asarray(inclination) <= np.pi)).all():
+        raise ScenarioError(
+            f"inclination must lie in [0, pi] rad, got {inclination}: np.deg2rad turns degrees into rad"
+        )
 
 
 def _start(a: ArrayLike, e: ArrayLike, i: ArrayLike, raan: ArrayLike, perigee: ArrayLike, anomaly: ArrayLike) -> Orbit:
@@ -177,7 +186,7 @@ def elements(orbit: Orbit) -> Elements:
     ScenarioError
         NaN, a state that does not come back (its speed is that of escape or more) or falls straight down.
     """
-    r, v = (real(name, x, (*np.shape(x)[:-1], 3)) for name, x in zip(Orbit._fields, orbit, strict=True))
+    r, v = state(orbit)
     distance = np.linalg.norm(r, axis=-1)
     momentum = np.cross(r, v)
     h = np.linalg.norm(momentum, axis=-1)
@@ -202,6 +211,18 @@ def elements(orbit: Orbit) -> Elements:
         argument_of_perigee=perigee,
         true_anomaly=np.arctan2(np.sin(anomaly), np.cos(anomaly)),
     )
+
+
+def state(orbit: Orbit) -> Orbit:
+    """The orbit with its arrays checked: ScenarioError for NaN, wrong shapes, or what is no Orbit."""
+    try:
+        r, v = orbit
+    except (TypeError, ValueError) as error:
+        raise ScenarioError(f"the orbit must be an Orbit(r, v), such as `circular` makes, got {orbit!r}") from error
+    r, v = (real(name, x, (*np.shape(x)[:-1], 3)) for name, x in (("r", r), ("v", v)))
+    if r.shape != v.shape:
+        raise ScenarioError(f"r and v must have one shape, got {r.shape} and {v.shape}")
+    return Orbit(r, v)
 
 
 def altitude(r: ArrayLike) -> Array:
@@ -254,19 +275,19 @@ def propagate(
     steps = np.diff(times)
     if len(times) < 2 or times[0] != 0 or not np.allclose(steps, steps[0], rtol=1e-9, atol=0) or steps[0] <= 0:
         raise ScenarioError("times must be a uniform grid that starts at 0 and has two points at least")
-    for name, value in zip(Orbit._fields, orbit, strict=True):
-        real(name, value, (*np.shape(value)[:-1], 3))
-    if (np.linalg.norm(orbit.r, axis=-1) < EARTH_RADIUS).any():
+    r, v = state(orbit)
+    if (np.linalg.norm(r, axis=-1) < EARTH_RADIUS).any():
         raise ScenarioError("r lies inside the Earth: positions are in m from its centre")
     substeps = int(np.ceil(steps[0] / LONGEST_STEP))
     heavens = ephemeris(forces, epoch, float(times[-1]))
     with jax.enable_x64(True):
         h = times[-1] / (len(times) - 1) / substeps
-        r, v = _propagate(*map(np.asarray, orbit), h, tuple(forces), heavens, len(times) - 1, substeps)
+        r, v = _propagate(r, v, h, tuple(forces), heavens, len(times) - 1, substeps)
         r, v = (np.moveaxis(np.asarray(x), 0, -2) for x in (r, v))
         height = np.asarray(altitude(r))
     for force in forces:
-        force.check(r, times)
+        if hasattr(force, "check"):
+            force.check(r, times)  # pyright: ignore[reportAttributeAccessIssue]
     if not (height > 0).all():
         first = times[np.argwhere(~(height > 0))[:, -1].min()]
         raise ScenarioError(f"orbit: it is on the ground at {first:g} s: raise it, or end the flight earlier")

@@ -174,6 +174,36 @@ def test_the_precision_flag_of_the_user_stays():
         assert jax.numpy.zeros(1).dtype == np.float32
 
 
+@pytest.fixture(scope="module")
+def eccentric():
+    """A transfer ellipse, from an hour before its perigee of 230 km."""
+    start = orbit.keplerian(24500e3, 0.73, 0.4, 1.0, 2.0, -2.4)
+    return Environment.along(start, EPOCH, 8000.0, atmosphere=None)
+
+
+@pytest.mark.parametrize("t", [500.0, 2000.0, 3600.0, 7000.0])
+def test_frame_of_an_eccentric_orbit_turns_unevenly(eccentric, t):
+    """Rate and acceleration: w_y = -h / r^2, whose derivative is 2 h (r.v) / r^4; z to nadir, y against the normal."""
+    env, slope = jax.jit(lambda t: jax.jvp(eccentric.at, (t,), (1.0,)))(t)
+    r, h = np.linalg.norm(env.r), np.linalg.norm(np.cross(env.r, env.v))
+    assert env.w_ON[1] == pytest.approx(-h / r**2, rel=1e-9)
+    assert slope.w_ON[1] == pytest.approx(2 * h * np.dot(env.r, env.v) / r**4, rel=2e-3, abs=1e-12)  # J2 changes h
+    np.testing.assert_allclose(slope.q_ON, attitude.kinematics(env.q_ON, env.w_ON), rtol=0, atol=3e-10)
+    turn = attitude.compose(env.q_ON, attitude.conjugate(orbit.orbital_frame(env.r, env.v)))
+    assert attitude.angle(turn) < 1e-10
+
+
+def test_a_step_too_long_for_the_perigee_is_refused(eccentric):
+    assert 7.0 < eccentric.step < 9.0  # chosen
+    with pytest.raises(ScenarioError, match=r"step = 120 s is too long .* at most 6"):
+        Environment.along(orbit.keplerian(24500e3, 0.73, 0.4), EPOCH, 8000.0, step=120.0)
+
+
+def test_worlds_say_how_long_they_last(surroundings):
+    assert (surroundings.duration, surroundings.step) == (6000.0, 10.0)
+    assert CircularEnvironment.along(LOW).duration == FreeSpace().duration == np.inf
+
+
 @pytest.mark.parametrize("kind", ["table", "circular"])
 def test_frame_rate_and_velocity_are_the_derivatives_along_time(surroundings, kind):
     world = surroundings if kind == "table" else CircularEnvironment.along(LOW)
@@ -207,10 +237,13 @@ def test_free_space_has_a_frame_and_nothing_else():
     ("change", "message"),
     [
         ({"duration": 0.0}, "duration"), ({"duration": np.nan}, "duration"), ({"step": -1.0}, "step"),
+        ({"epoch": "2024-03-20"}, "epoch = .*give a datetime"), ({"atmosphere": 1e-12}, "atmosphere must be"),
+        ({"forces": ("J2",)}, "forces"), ({"start": 7e6}, "must be an Orbit"),
+        ({"start": orbit.Orbit(LOW.r, 2 * LOW.v)}, "no ellipse"),
         ({"epoch": datetime(2031, 1, 1)}, "epoch"), ({"epoch": datetime(1850, 1, 1)}, "epoch"),
     ],
 )  # fmt: skip
 def test_bad_scenarios_are_refused(change, message):
-    arguments = {"epoch": EPOCH, "duration": 100.0, "step": 10.0} | change
+    arguments = {"start": LOW, "epoch": EPOCH, "duration": 100.0, "step": 10.0} | change
     with pytest.raises(ScenarioError, match=message):
-        Environment.along(LOW, **arguments)
+        Environment.along(**arguments)

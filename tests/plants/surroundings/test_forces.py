@@ -1,5 +1,6 @@
 """Forces on an orbit: against an integration of their formulas in NumPy, closed forms of theory, mistakes."""
 
+from dataclasses import dataclass
 from datetime import datetime
 
 import erfa
@@ -255,6 +256,23 @@ def test_an_orbit_that_comes_down_is_refused():
         orbit.propagate(falling, TIMES)
     with pytest.raises(ScenarioError, match="on the ground at"):
         Environment.along(falling, EPOCH, 5980.0)
+
+
+@dataclass(frozen=True)
+class Thrust:
+    """Along the velocity."""
+
+    strength: float  # () m/s^2
+
+    def acceleration(self, r, v, heavens):
+        return self.strength * v / jax.numpy.linalg.norm(v)
+
+
+def test_a_force_of_the_users_own_is_enough():
+    """A slow spiral: da/dt = 2 a f / v, or 1/v falls linearly."""
+    flown = orbit.propagate(LOW, TIMES, (Thrust(1e-5),), EPOCH)
+    v0, a = np.linalg.norm(LOW.v), orbit.elements(Orbit(flown.r[-1], flown.v[-1])).semi_major_axis
+    assert np.sqrt(MU / a) == pytest.approx(v0 - 1e-5 * TIMES[-1], rel=1e-6)
 
 
 def test_a_list_will_do_and_nothing_is_keplers_motion():

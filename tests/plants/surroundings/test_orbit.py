@@ -178,13 +178,26 @@ def test_elements_broadcast():
         ({"eccentricity": 1.0}, "eccentricity must lie in"), ({"eccentricity": -0.1}, "eccentricity must lie in"),
         ({"eccentricity": 0.2}, "perigee at 5.6e.06 m, inside the Earth"), ({"inclination": np.nan}, "inclination"),
         ({"semi_major_axis": 500e3}, "from its centre"), ({"true_anomaly": np.inf}, "true_anomaly"),
-        ({"raan": "east"}, "raan"),
+        ({"raan": "east"}, "raan"), ({"inclination": 51.6}, "inclination .* rad, got 51.6"),
         ({"raan": [1.0, 2.0], "inclination": [1.0, 2.0, 3.0]}, "broadcast"),
     ],
 )  # fmt: skip
 def test_bad_elements_are_refused(change, message):
     with pytest.raises(ScenarioError, match=message):
         orbit.keplerian(**({"semi_major_axis": 7e6, "eccentricity": 0.0, "inclination": 0.1} | change))
+
+
+def test_what_is_no_orbit_is_refused():
+    for wrong in (7e6, None, (LOW.r, LOW.v, 0.0), LOW.r):
+        with pytest.raises(ScenarioError, match=r"must be an Orbit\(r, v\)"):
+            orbit.propagate(wrong, [0.0, 1.0])
+    with pytest.raises(ScenarioError, match="one shape"):
+        orbit.propagate(Orbit(LOW.r, np.stack([LOW.v, LOW.v])), [0.0, 1.0])
+    with pytest.raises(ScenarioError, match=r"v must have shape"):
+        orbit.elements(Orbit(LOW.r, LOW.v[:2]))
+    for altitude, inclination in (("low", 0.1), ([5e5, 6e5], 0.1), (5e5, 98.0), (5e5, -0.1)):
+        with pytest.raises(ScenarioError, match=r"altitude|inclination"):
+            orbit.circular(altitude, inclination)
 
 
 def test_states_that_are_no_ellipse_have_no_elements():
