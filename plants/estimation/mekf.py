@@ -31,12 +31,12 @@ from plants.errors import ScenarioError
 from plants.estimation.navigation import tested_updates
 from plants.estimation.wahba import direction, wahba_pair
 from plants.geometry import attitude
-from plants.hardware.instruments import SensorSuite, unit
+from plants.hardware.instruments import Pair, SensorSuite, unit
 from plants.hardware.ratesensors import FLICKER, GyroState, IntegratingGyro, Turn
 from plants.simulation import blocks
 
 LOST = np.pi  # () rad per axis, 1 sigma of an attitude that is not known
-SURE = 0.5  # () rad, 1 sigma about the worst axis above which two directions fix no attitude
+SURE = 0.5  # () rad, 1 sigma about the worst axis above which readings fix no attitude
 
 
 class MekfState(NamedTuple):
@@ -142,24 +142,24 @@ class Mekf:
         )
 
     def find(self, s: MekfState, y: tuple[Any, ...], env: Any) -> MekfState:
-        """An attitude, where there is none yet and the readings give one: the first star fix, else the best pair."""
-        fixes = [self._fix(s, i, y[i]) for i, known in enumerate(self.instruments) if hasattr(known, "body_attitude")]
+        """An attitude, where there is none yet and the readings give one: by a star fix, else by the best two vectors.
+
+        The readings correct it afterwards, as all others do: what is believed of it before is a thousand times worse.
+        """
         pairs = [known.pair(y[i], env) for i, known in enumerate(self.instruments) if hasattr(known, "pair")]
-        turn, found = jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.zeros(())
-        for a, b in combinations(pairs, 2):
-            q, good = _attitude_of(a, b)
-            take = good & (found == 0)
-            turn = jnp.where(take, attitude.compose(attitude.conjugate(s.q), q), turn)
-            found = jnp.where(take, 1.0, found)
-        for relative, valid in reversed(fixes):
-            turn = jnp.where(valid > 0, relative, turn)
-            found = jnp.where(valid > 0, 1.0, found)
-        take = (s.known == 0) & (found > 0)
+        found = [_attitude_of(a, b) for a, b in combinations(pairs, 2)]
+        found = [(attitude.compose(attitude.conjugate(s.q), q), worst) for q, worst in found]
+        found += [self._fix(s, i, y[i]) for i, known in enumerate(self.instruments) if hasattr(known, "body_attitude")]
+        turn, least = jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.asarray(jnp.inf)
+        for relative, worst in found:
+            turn, least = jnp.where(worst < least, relative, turn), jnp.minimum(worst, least)
+        take = (s.known == 0) & (least <= SURE)
         q, past = (attitude.normalise(attitude.compose(a, turn)) for a in (s.q, s.past))
+        spread = jnp.minimum(1e3 * jnp.where(take, least, 1.0), LOST)
         return s._replace(
             q=jnp.where(take, q, s.q),
             past=jnp.where(take, past, s.past),
-            P=jnp.where(take, self._unknown(s._replace(q=q, past=past)), s.P),
+            P=jnp.where(take, self._unknown(s._replace(q=q, past=past), spread), s.P),
             known=jnp.where(take, 1.0, s.known),
         )
 
@@ -214,14 +214,15 @@ class Mekf:
         return chosen @ s.past, chosen
 
     def _fix(self, s: MekfState, i: int, reading: Any) -> tuple[Array, Array]:
-        """Rotation (4,) of frame N by which the estimate misses a star fix, and whether there is one."""
+        """Rotation (4,) of frame N by which the estimate misses a star fix, and 1 sigma of its worst axis () rad."""
         estimate, _ = self._exposed(s, i, reading)
-        read = self.instruments[i].body_attitude(reading)
-        relative = attitude.compose(attitude.conjugate(estimate), read)
-        return jnp.where(reading.valid > 0, relative, jnp.array([1.0, 0.0, 0.0, 0.0])), reading.valid
+        known = self.instruments[i]
+        relative = attitude.compose(attitude.conjugate(estimate), known.body_attitude(reading))
+        good = reading.valid > 0
+        return jnp.where(good, relative, jnp.array([1.0, 0, 0, 0])), jnp.where(good, jnp.max(known.deviation), jnp.inf)
 
-    def _unknown(self, s: MekfState) -> Array:
-        """P for an attitude of which nothing is known, but what happened since the exposures is."""
+    def _unknown(self, s: MekfState, spread: Array) -> Array:
+        """P for an attitude known to `spread` rad per axis only, where what happened since the exposures is known."""
         gyro = self.instruments[self.gyro]
         first = 6 + s.own.size
         since = jnp.max(s.ages, initial=0.0)
@@ -234,7 +235,7 @@ class Mekf:
         )
         kept = s.P.at[:3].set(0.0).at[:, :3].set(0.0).at[first:].set(0.0).at[:, first:].set(0.0)
         drift = jnp.asarray(gyro.random_walk) ** 2 * since + s.P[3, 3] * since**2
-        return (kept + LOST**2 * (G @ G.T)).at[:3, :3].add(drift * jnp.eye(3))
+        return (kept + spread**2 * (G @ G.T)).at[:3, :3].add(drift * jnp.eye(3))
 
 
 def mekf(
@@ -320,14 +321,15 @@ def mekf_record(x: Any, env: Any, sensors: tuple[Any, ...], navigator: MekfState
     return MekfRecord(error, navigator.P[:6, :6], navigator.known, navigator.nis, navigator.rows)
 
 
-def _attitude_of(a: Any, b: Any) -> tuple[Array, Array]:
-    """Attitude (4,) from two `Pair`s, and whether its worst axis is known to `SURE`."""
-    deviations = jnp.stack([a.deviation, b.deviation])
-    A, determined = wahba_pair(jnp.stack([a.body, b.body]), jnp.stack([a.reference, b.reference]), 1 / deviations**2)
-    sine = jnp.linalg.norm(attitude.cross(direction(a.reference), direction(b.reference)))
-    worst = jnp.sqrt(jnp.sum(deviations**2)) <= SURE * sine
-    good = determined & worst & (a.valid > 0) & (b.valid > 0)
-    return attitude.from_dcm(jnp.where(good, A, jnp.eye(3))), good
+def _attitude_of(a: Pair, b: Pair) -> tuple[Array, Array]:
+    """Attitude (4,) from two vectors, and 1 sigma of its worst axis () rad, infinite if they give none."""
+    deviations = jnp.stack([jnp.asarray(a.deviation), jnp.asarray(b.deviation)])
+    seen, true = jnp.stack([a.body, b.body]), jnp.stack([a.reference, b.reference])
+    A, determined = wahba_pair(seen, true, 1 / deviations**2)
+    good = determined & (a.valid > 0) & (b.valid > 0)
+    sine = jnp.linalg.norm(attitude.cross(*direction(jnp.where(good, true, jnp.eye(2, 3)))))
+    worst = jnp.where(good, jnp.sqrt(jnp.sum(deviations**2)) / sine, jnp.inf)
+    return attitude.from_dcm(jnp.where(good, A, jnp.eye(3))), worst
 
 
 def _corrected(q: Array, e: Array) -> Array:

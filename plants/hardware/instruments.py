@@ -5,7 +5,13 @@ is a NamedTuple of finite numbers with a `valid` of 1 or 0: a blind instrument r
 not model (NaN) is no blindness: the reading is NaN, and the run says that the sensors failed.
 
 A filter does not know an instrument, only its `innovation`: what was read less what is expected at an attitude, with
-its slopes and variances. An instrument of a user's own that has one serves in every filter.
+its slopes and variances. An instrument of a user's own serves in the filter if it has
+
+    innovation(reading, q, own, env)   an `Innovation` at the attitude q (4,)
+    deviation                          1 sigma of its scalars, above zero
+    pair(reading, env)                 optional: a `Pair`, to find a first attitude
+    parameters                         optional: what the filter may estimate of it as own (3,)
+
 Reference: Markley and Crassidis (2014), chapters 4 and 6.
 
 Attitudes are those of the body relative to frame N (inertial). Small rotations are vectors in rad about body axes.

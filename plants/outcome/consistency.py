@@ -6,7 +6,8 @@ below it wastes information. Bar-Shalom, Li and Kirubarajan (2001), Estimation w
 navigation, section 5.4.
 """
 
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +15,7 @@ from scipy.stats import chi2
 
 from plants.checks import real
 from plants.errors import ScenarioError
+from plants.outcome.report import table
 
 
 class Consistency(NamedTuple):
@@ -71,6 +73,49 @@ def nis(values: ArrayLike, rows: ArrayLike, confidence: float = 0.95) -> Consist
     """
     z = real("values", values, (None, None), low=0)
     return _band(z, real("rows", rows, z.shape, low=0), confidence)
+
+
+def consistency(runs: Sequence[Any], start: float = 0.0, confidence: float = 0.95) -> dict[str, Consistency]:
+    """What R flights with ``record=mekf_record`` say of their filter, from `start` () s on.
+
+    "state" and "attitude" are NEES of all states and of the attitude alone, "innovations" is NIS.
+
+    Raises
+    ------
+    ScenarioError
+        No run; one that failed, or was recorded otherwise; nothing after `start`, or no attitude yet.
+    """
+    if not runs or not all(run.ok for run in runs):
+        raise ScenarioError(f"runs: {sum(not run.ok for run in runs)} of {len(runs)} failed; give whole flights")
+    if not all(hasattr(run.extra, "covariance") for run in runs):
+        raise ScenarioError("runs hold no record of a filter: fly them with record=plants.mekf_record")
+    late = runs[0].time >= start
+    error, covariance, known, values, rows = (
+        np.stack([getattr(run.extra, name)[late] for run in runs])
+        for name in ("error", "covariance", "known", "nis", "rows")
+    )
+    if not (known > 0).all():
+        raise ScenarioError(f"start = {start} s: some filter has no attitude yet; give a later one")
+    return {
+        "state": nees(error, covariance, confidence),
+        "attitude": nees(error[..., :3], covariance[..., :3, :3], confidence),
+        "innovations": nis(values, rows, confidence),
+    }
+
+
+def consistency_table(found: Mapping[str, Consistency]) -> str:
+    """HTML of one row for each entry: the mean, where it should lie, how often it does, and the verdict."""
+    rows = [
+        (
+            name,
+            f"{c.mean:.3f}",
+            f"{np.nanmean(c.low):.3f} to {np.nanmean(c.high):.3f}",
+            f"{100 * c.inside:.0f} %",
+            c.verdict,
+        )
+        for name, c in found.items()
+    ]
+    return table(("filter", "mean", "band of one sample", "inside", "verdict"), rows)
 
 
 def _band(squares: np.ndarray, freedom: np.ndarray, confidence: float) -> Consistency:

@@ -21,7 +21,7 @@ from plants.hardware.orbitsensors import GpsReceiver, HorizonSensor
 from plants.hardware.ratesensors import IntegratingGyro
 from plants.hardware.startracker import StarTracker
 from plants.hardware.sunsensors import CoarseSunSensors, FineSunSensor
-from plants.outcome.consistency import nees, nis
+from plants.outcome.consistency import consistency, consistency_table, nees, nis
 from plants.simulation.simulate import Loop, Scenario, simulate_many
 from plants.surroundings.environment import FreeSpace
 
@@ -303,10 +303,19 @@ def test_nees_of_a_hundred_flights_lies_in_its_band():
         cases.append((loop, Scenario(initial=start, dt=1.0, periods=200, samples=5, environment=FreeSpace(), run=run)))
     flown = simulate_many(cases, record=mekf_record)
     assert all(run.ok for run in flown)
-    record = jax.tree.map(lambda *a: np.stack(a)[:, 10:], *(run.extra for run in flown))
-    found = nees(record.error, record.covariance, confidence=0.999)
+    found = consistency(flown, start=2.0, confidence=0.999)["state"]
     for time in (0, 50, 200, 500, 985):  # far apart: five tests at 1e-3
         assert found.low[time] < found.average[time] < found.high[time]
-    assert nees(record.error, record.covariance).inside > 0.85
-    assert nis(record.nis, record.rows).inside > 0.93
-    assert nis(record.nis, record.rows).mean == pytest.approx(1, abs=0.01)
+    told = consistency(flown, start=2.0)
+    assert told["state"].inside > 0.85  # neighbouring times are not independent
+    assert told["innovations"].inside > 0.93
+    assert told["innovations"].mean == pytest.approx(1, abs=0.01)
+    page = consistency_table(told)
+    assert page.count("consistent") >= 3
+    for wrong, match in (
+        ([], "runs"),
+        ([replace(flown[0], ok=False)], "failed"),
+        ([replace(flown[0], extra=None)], "record"),
+    ):
+        with pytest.raises(ScenarioError, match=match):
+            consistency(wrong)
