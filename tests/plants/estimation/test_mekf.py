@@ -15,13 +15,14 @@ from plants.dynamics.rigidbody import BodyState, RigidBody
 from plants.errors import ScenarioError
 from plants.estimation.mekf import mekf, mekf_record
 from plants.geometry import attitude
-from plants.hardware.instruments import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, SensorSuite
+from plants.hardware.instruments import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, Innovation, SensorSuite
 from plants.hardware.magnetometer import ThreeAxisMagnetometer
 from plants.hardware.orbitsensors import GpsReceiver, HorizonSensor
 from plants.hardware.ratesensors import IntegratingGyro
 from plants.hardware.startracker import StarTracker
 from plants.hardware.sunsensors import CoarseSunSensors, FineSunSensor
 from plants.outcome.consistency import consistency, consistency_table, nees, nis
+from plants.simulation import blocks
 from plants.simulation.simulate import Loop, Scenario, simulate_many
 from plants.surroundings.environment import FreeSpace
 
@@ -200,6 +201,51 @@ def test_misalignment_of_a_second_tracker_and_bias_of_a_magnetometer_are_found()
     np.testing.assert_allclose(own[:, -1, 0].mean(axis=0), turned, atol=2e-5)
     np.testing.assert_allclose(own[:, -1, 1].mean(axis=0), bias, atol=1e-8)
     assert levels(record, skip=50)[2] == pytest.approx(1, abs=0.05)
+
+
+@dataclass(frozen=True)
+class Plumb:
+    """A user's instrument: how far the x axis leans to nadir, a single number."""
+
+    deviation: float = 1e-3
+    channels: int = 1
+
+    def init(self):
+        return ()
+
+    def measure(self, s, x, env, noise, h):
+        return s, attitude.rotate(x.q, -env.r / 6.9e6)[0] + self.deviation * noise[0]
+
+    def innovation(self, reading, q, own, env):
+        seen = attitude.rotate(q, -env.r / 6.9e6)
+        slope = attitude.cross_matrix(seen)[:1]
+        return Innovation(
+            (reading - seen[0])[None], slope, jnp.zeros((1, 0)), jnp.full(1, self.deviation**2), jnp.ones(1)
+        )
+
+
+def test_coarse_cells_a_magnetometer_and_an_instrument_of_ones_own():
+    """Found from photocells that the Earth lights, corrected by a class that the filter does not know."""
+    cells = CoarseSunSensors.create(noise=0.02, albedo=0.3)
+    suite = SensorSuite.create([GYRO, cells, ThreeAxisMagnetometer.create(noise=1e-6), Plumb()])
+    blocks.register(suite)
+    record, *_ = follow(suite)
+    late = record.known.sum(axis=0) == 60
+    assert late[20:].all()
+    both, turn, innovation = levels(record, skip=100)
+    assert 0.75 < both < 1.25
+    assert 0.8 < turn < 1.2
+    assert 0.95 < innovation < 1.05
+
+
+def test_the_first_fix_of_a_very_good_tracker_does_not_drown_in_rounding():
+    """0.002 arcsec: after the first fix the covariance is the tracker's, and stays positive."""
+    sigma = 0.002 * ARCSEC
+    suite = SensorSuite.create([GYRO, StarTracker.create(cross_noise=sigma, boresight_noise=sigma)])
+    record, *_ = follow(suite, samples=481, runs=400)
+    np.testing.assert_allclose(np.sqrt(record.covariance[0, 0].diagonal()[:3]), sigma, rtol=1e-3)
+    assert (np.linalg.eigvalsh(record.covariance[0]) > 0).all()
+    assert levels(record, skip=50)[1] == pytest.approx(1, abs=0.05)
 
 
 @settings(deadline=None, max_examples=15)
