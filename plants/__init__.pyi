@@ -124,6 +124,8 @@ from plants.outcome.budgets import Spread as Spread
 from plants.outcome.budgets import budget as budget
 from plants.outcome.budgets import sampled_loop as sampled_loop
 from plants.outcome.consistency import Consistency as Consistency
+from plants.outcome.consistency import consistency as consistency
+from plants.outcome.consistency import consistency_table as consistency_table
 from plants.outcome.consistency import nees as nees
 from plants.outcome.consistency import nis as nis
 from plants.outcome.indices import Errors as Errors
