@@ -39,7 +39,7 @@ craft = plants.spacecraft(
 def modes(design: synth.Design) -> list[plants.Mode]:
     """The modes: what each points at, and what it waits for."""
     dumping = plants.CrossProductDumping.create(1e-3, limit=0.2)
-    law = AttitudeControl(controller=design.as_controller(), dumping=dumping)
+    law = AttitudeControl(controller=design, dumping=dumping)
     target = plants.Pointing.create(
         [0, 0, 1], plants.ToTarget.create(**MUNICH), second_axis=[1, 0, 0], second_to=plants.Forward()
     )

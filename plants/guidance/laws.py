@@ -15,7 +15,7 @@ from plants.checks import Numbers, positive
 from plants.errors import ScenarioError
 from plants.guidance.modes import Known
 from plants.simulation import blocks
-from plants.simulation.loop import Controller
+from plants.simulation.loop import Controller, controller_of
 
 
 class Dumping(Protocol):
@@ -27,10 +27,22 @@ class Dumping(Protocol):
 @partial(blocks.node, data_fields=["controller", "dumping"], meta_fields=[])
 @dataclass(frozen=True, kw_only=True)
 class AttitudeControl:
-    """Any controller of the error (6,) [vector part of the error quaternion; rad/s] to a torque (3,) N m."""
+    """Any controller of the error (6,) [vector part of the error quaternion; rad/s] to a torque (3,) N m.
+
+    What gives a controller is taken too, as by `Loop`.
+    """
 
     controller: Controller
     dumping: Dumping | None = None
+
+    def __post_init__(self) -> None:
+        """Ask what gives a controller for it."""
+        object.__setattr__(self, "controller", controller_of(self.controller))
+
+    @property
+    def dt(self) -> Any:
+        """Control period, s."""
+        return self.controller.dt
 
     def init(self) -> Any:
         """The controller's first state."""

@@ -232,7 +232,8 @@ def sequence(
     Raises
     ------
     ScenarioError
-        No mode, two of one name, a `then` or a navigator that there is not, numbers that cannot be.
+        No mode, two of one name, a `then` or a navigator that there is not, a law of another period, numbers that
+        cannot be.
     """
     names = tuple(m.name for m in modes)
     if not names or len(set(names)) < len(names):
@@ -245,6 +246,12 @@ def sequence(
     G = real("wheel_axes", wheel_axes, (3, None))
     Js = positive("wheel_inertia", wheel_inertia, (G.shape[1],))
     period = float(positive("dt", dt))
+    for m in modes:
+        own = getattr(m.law, "dt", period)
+        if not np.isclose(float(own), period, rtol=1e-9, atol=0):
+            raise ScenarioError(
+                f"law of mode {m.name!r} has dt = {own}, the sequence {period}: design it for that period"
+            )
     phases = tuple(
         Phase(
             guidance=m.guidance,

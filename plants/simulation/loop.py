@@ -114,6 +114,12 @@ class Environment(Protocol):
         ...
 
 
+def controller_of(thing: Any) -> Any:
+    """The controller that an object gives by its method `as_controller`, as a `synth.Design`; others as they are."""
+    give = None if hasattr(thing, "step") else getattr(thing, "as_controller", None)
+    return give() if callable(give) else thing
+
+
 @dataclass(frozen=True, kw_only=True)
 class Loop:
     """A closed loop. Without sensors and navigator the controller sees the true output.
@@ -131,9 +137,7 @@ class Loop:
 
     def __post_init__(self) -> None:
         """Ask what gives a controller for it."""
-        give = None if hasattr(self.controller, "step") else getattr(self.controller, "as_controller", None)
-        if callable(give):
-            object.__setattr__(self, "controller", give())
+        object.__setattr__(self, "controller", controller_of(self.controller))
 
 
 @dataclass(frozen=True, kw_only=True)

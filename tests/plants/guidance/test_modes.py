@@ -230,6 +230,7 @@ def start_at_nadir(environment, **more):
         (lambda law: several([mode("a", law, then="b")]), "then = 'b' of mode 'a' is no mode"),
         (lambda law: several([mode("a", law, navigator=1)]), "navigator = 1 of mode 'a': there are 1"),
         (lambda law: several([mode("a", law)], wheel_inertia=np.ones(4)), "wheel_inertia must have shape"),
+        (lambda law: several([mode("a", law)], dt=0.5), "law of mode 'a' has dt = 1.0, the sequence 0.5"),
         (lambda law: mode("a", law, max_rate=1.0), "max_rate and max_acceleration of mode 'a'"),
         (lambda law: mode("a", law, max_rate=-1.0, max_acceleration=1.0), "max_rate must be positive"),
     ],
