@@ -107,7 +107,7 @@ def one(force, r, v, t=0.0):
 @pytest.mark.slow
 @pytest.mark.parametrize("lane", [0, 1])
 def test_an_adaptive_integration_of_the_formulas_ends_at_the_same_place(flights, lane):
-    """DOP853 in steps that do not jump over the edge of the shadow (free steps at 1e-11 end 20 mm away, steps of 15 s 1 mm)."""
+    """DOP853 in steps that do not jump over the edge of the shadow (free ones end 20 mm away, steps of 15 s 1 mm)."""
     start = (LOW, HIGH)[lane]
     exact = solve_ivp(everything, (0.0, 6000.0), np.concatenate(start), "DOP853", rtol=1e-13, atol=1e-9, max_step=10)
     assert np.linalg.norm(flights.r[lane, -1] - exact.y[:3, -1]) < 3e-4  # m
