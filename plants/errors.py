@@ -2,7 +2,8 @@
 
 PlantError
  ├─ ScenarioError  a number of a plant, sensor, scenario or campaign is not usable; names field, value, remedy
- │   └─ SingularityError  an attitude at which the coordinates have no rate
+ │   ├─ SingularityError  an attitude at which the coordinates have no rate
+ │   └─ OpaqueError       a block that JAX cannot trace: it flies stepped, not compiled
  ├─ StoreError     a file or folder of flown runs is damaged, another study's, in use, or cannot be written
  └─ EngineError    the processes or the cluster that should do the work cannot
 """
@@ -18,6 +19,10 @@ class ScenarioError(PlantError, ValueError):
 
 class SingularityError(ScenarioError):
     """An attitude at which the coordinates of a plant have no rate, such as 3-2-1 Euler angles at pitch +-90 deg."""
+
+
+class OpaqueError(ScenarioError):
+    """A block that JAX cannot trace, such as NumPy or an ordinary class: it flies stepped, not compiled."""
 
 
 class StoreError(PlantError, ValueError):

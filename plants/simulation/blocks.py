@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import numpy as np
 
-from plants.errors import ScenarioError
+from plants.errors import OpaqueError, ScenarioError
 
 T = TypeVar("T")
 
@@ -70,7 +70,7 @@ def register(block: Any) -> None:
 
     Raises
     ------
-    ScenarioError
+    OpaqueError
         If a block is a mutable dataclass.
     """
     if isinstance(block, tuple | list | dict):
@@ -86,7 +86,7 @@ def register(block: Any) -> None:
         if not jax.tree_util.all_leaves([block]):
             return  # already known to JAX
         if not kind.__dataclass_params__.frozen:  # pyright: ignore[reportAttributeAccessIssue]
-            raise ScenarioError(f"{kind.__name__} is a mutable dataclass: declare it with frozen=True")
+            raise OpaqueError(f"{kind.__name__} is a mutable dataclass: declare it with frozen=True")
         data = [f.name for f in members if _is_data(f, getattr(block, f.name))]
         program = [f.name for f in members if f.name not in data]
         node(kind, data, program)

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from plants.errors import PlantError, ScenarioError
+from plants.errors import OpaqueError, PlantError, ScenarioError
 from plants.simulation import blocks
 from plants.simulation.loop import (
     MEMORY,
@@ -67,22 +67,68 @@ def check(loop: Loop, scenario: Scenario) -> None:
             f"{missing} = None: without it the {given} would go unheard, and the controller get the true output; "
             "give both or neither"
         )
-    check_numbers(loop, scenario)
-    for name in ("plant", "sensors", "navigator", "actuator"):
-        _check_methods(name, getattr(loop, name))
-    _check_methods("scenario.environment", scenario.environment)
-    _check_size(scenario)
+    for name, block in blocks_of(loop, scenario).items():
+        opaque = foreign(name, block)
+        if opaque is not None:
+            raise opaque
+    check_rest(loop, scenario)
     with jax.enable_x64(True):
         _check_shapes(loop, scenario)
 
 
+def check_rest(loop: Loop, scenario: Scenario) -> None:
+    """The part of `check` that looks at numbers, methods and the size of a flight, whether blocks are opaque or not."""
+    check_numbers(loop, scenario)
+    for name, block in blocks_of(loop, scenario).items():
+        _check_methods(name, block)
+    _check_size(scenario)
+
+
+def blocks_of(loop: Loop, scenario: Scenario) -> dict[str, Any]:
+    """What is checked and called, by the name that messages have for it; without the controller."""
+    own = {name: getattr(loop, name) for name in ("plant", "sensors", "navigator", "actuator")}
+    return {**own, "scenario.environment": scenario.environment}
+
+
+def foreign(name: str, block: Any) -> ScenarioError | None:
+    """Why a block is none that JAX knows, or None: OpaqueError if it can be stepped, else ScenarioError."""
+    if block is None or isinstance(block, type):
+        return None
+    kind = type(block).__name__
+    missing = _missing(name, block)
+    try:
+        blocks.register(block)
+        if _is_opaque(block):
+            blocks.check_numbers(block, name if "." in name else f"loop.{name}")
+    except ScenarioError as error:
+        return ScenarioError(str(error)) if missing else OpaqueError(str(error))
+    if name != "plant" or missing:
+        return None
+    if not hasattr(block, "derivative"):
+        return OpaqueError(f"plant = {kind} has advance and no derivative: it flies stepped, not compiled")
+    if not hasattr(block, "project"):
+        return OpaqueError(f"plant = {kind} has no project; give one that has, or fly it stepped")
+    return None
+
+
+def _is_opaque(block: Any) -> bool:
+    """Whether JAX takes a block, or a part of it, for a single thing that is no number."""
+    known = np.ndarray | np.generic | jax.Array | complex | float | int | str
+    return any(not isinstance(leaf, known) for leaf in jax.tree.leaves(block))
+
+
 def check_numbers(loop: Loop, scenario: Scenario) -> None:
-    """The part of `check` that may differ between cases of the same structure."""
-    known = dataclasses.replace(loop, controller=None)  # the controller is opaque: it may hold anything
+    """The part of `check` that may differ between cases of the same structure; opaque blocks may hold anything."""
+    opaque = {
+        name: None for name in ("plant", "sensors", "navigator", "actuator") if foreign(name, getattr(loop, name))
+    }
+    known = dataclasses.replace(loop, **{**opaque, "controller": None})  # pyright: ignore[reportArgumentType]
+    if foreign("scenario.environment", scenario.environment) is None:
+        blocks.register(scenario)
+        blocks.check_numbers(scenario, "scenario")
     blocks.register(known)
-    blocks.register(scenario)
+    blocks.register(scenario.initial)
     blocks.check_numbers(known, "loop")
-    blocks.check_numbers(scenario, "scenario")
     blocks.check_numbers(scenario.initial, "scenario.initial", finite=True)
     lasts = getattr(scenario.environment, "duration", np.inf)
     if scenario.periods * scenario.dt > lasts * (1 + 1e-9):
@@ -100,6 +146,15 @@ def check_numbers(loop: Loop, scenario: Scenario) -> None:
     if judge is not None:
         _check_kind(loop, scenario.initial)
         judge(scenario.initial)
+
+
+def untraceable(error: BaseException | None) -> bool:
+    """Whether code failed because it was given no numbers but the arrays of a compiler."""
+    if error is None:
+        return False
+    text = str(error)
+    alien = isinstance(error, TypeError | AttributeError) and ("Tracer" in text or "JAX arrays are immutable" in text)
+    return isinstance(error, UNTRACEABLE) or alien or untraceable(error.__cause__ or error.__context__)
 
 
 def told(error: Exception, block: Any = None) -> str:
@@ -132,10 +187,19 @@ def _check_methods(name: str, block: Any) -> None:
         return
     if isinstance(block, type):
         raise ScenarioError(f"{name} = {block.__name__} is a class: give an object of it")
-    missing = [method for method in METHODS[name] if not callable(getattr(block, method, None))]
+    missing = _missing(name, block)
     if missing:
         remedy = "; give one, such as synth.LinearController.of(K)" if name == "controller" else "; give one that has"
         raise ScenarioError(f"{name} = {type(block).__name__} has no {' and no '.join(missing)}{remedy}")
+
+
+def _missing(name: str, block: Any) -> list[str]:
+    """Methods that a block should have and has not; a plant that is stepped may do with less."""
+    needed = METHODS[name]
+    if name == "plant":
+        outside = hasattr(block, "advance") and not hasattr(block, "derivative")
+        needed = ("advance" if outside else "derivative", "output")  # `project` if there is one
+    return [method for method in needed if not callable(getattr(block, method, None))]
 
 
 def _check_period(loop: Loop, scn: Scenario) -> None:
@@ -156,7 +220,7 @@ def _check_kind(loop: Loop, initial: Any) -> None:
     """Raise `ScenarioError` if the state is not of the class that the plant's annotations name."""
     try:
         kind = typing.get_type_hints(type(loop.plant).output)["x"]
-    except (KeyError, NameError, TypeError):
+    except (AttributeError, KeyError, NameError, TypeError):
         return
     fields = getattr(kind, "_fields", None)
     if fields and not isinstance(initial, kind):
@@ -181,6 +245,13 @@ def _check_shapes(loop: Loop, scn: Scenario) -> None:
     """Raise `ScenarioError` if environment, output, reference, measurement or estimate do not fit."""
     env = _tried("environment", scn.environment, "at", lambda e: None if e is None else e.at(0.0), scn.environment)
     shape = _output(loop, scn, env).shape
+    check_reference(scn, shape)
+    if loop.sensors is not None:
+        _check_measurement(loop, scn)
+
+
+def check_reference(scn: Scenario, shape: tuple[int, ...]) -> None:
+    """Raise `ScenarioError` if the output is no vector or the reference is none of its kind."""
     if len(shape) != 1:
         raise ScenarioError(f"plant.output has shape {shape}: return a vector")
     if scn.reference is not None and np.shape(scn.reference) not in (shape, (scn.periods, *shape)):
@@ -188,8 +259,6 @@ def _check_shapes(loop: Loop, scn: Scenario) -> None:
             f"reference has shape {np.shape(scn.reference)}: give {shape} or {(scn.periods, *shape)}, "
             "as many columns as the plant has outputs"
         )
-    if loop.sensors is not None:
-        _check_measurement(loop, scn)
 
 
 def _output(loop: Loop, scn: Scenario, env: Any) -> Any:
@@ -200,8 +269,8 @@ def _output(loop: Loop, scn: Scenario, env: Any) -> Any:
         raise
     except Exception as error:
         name = type(loop.plant).__name__
-        if isinstance(error, UNTRACEABLE):
-            raise ScenarioError(f"plant: {name}.output {told(error)}") from error
+        if untraceable(error):
+            raise OpaqueError(f"plant: {name}.output {told(error)}") from error
         if scn.environment is None and scn.initial is not None and "NoneType" in str(error):
             raise ScenarioError(
                 f"environment = None: {name} needs surroundings; give an `Environment`, or `FreeSpace()` for none"
@@ -256,9 +325,9 @@ def _flows(block: Any, method: str, what: str, function: Callable[[Loop], Any], 
         return jax.eval_shape(function, loop)
     except PlantError:
         raise
-    except UNTRACEABLE as error:
-        raise ScenarioError(f"{type(block).__name__}.{method}: {told(error)}") from error
-    except (TypeError, ValueError, IndexError, AttributeError) as error:  # what wrong shapes raise
+    except (*UNTRACEABLE, TypeError, ValueError, IndexError, AttributeError) as error:  # what wrong shapes raise
+        if untraceable(error):
+            raise OpaqueError(f"{type(block).__name__}.{method}: {told(error)}") from error
         raise ScenarioError(f"{type(block).__name__} does not take a {what}: {told(error)}") from error
 
 
@@ -284,4 +353,5 @@ def _tried(name: str, block: Any, method: str, function: Callable[[Any], Any], *
     except PlantError:
         raise
     except Exception as error:
-        raise ScenarioError(f"{name}: {type(block).__name__}.{method} {told(error)}") from error
+        kind = OpaqueError if untraceable(error) else ScenarioError
+        raise kind(f"{name}: {type(block).__name__}.{method} {told(error)}") from error

@@ -7,7 +7,8 @@ clock runs at three rates: the controller every `dt`, the sensors `samples` time
     measure at t0, then for every period: { command, samples x ( act, move, measure ) }
 
 `advance` is one control period. It is scanned under `jit` and `vmap` when the controller can be compiled, and
-called from a Python loop when it cannot (a quadratic program solved by a C library); the numbers are the same.
+called from a Python loop when it cannot (a quadratic program solved by a C library); the numbers are the same. Other
+blocks that cannot be compiled (ordinary classes, NumPy, plants from outside) fly through `stepped`.
 
 Runs are described by data alone: the noise of sample i is a function of (seed, run, i), whatever the batch.
 All arithmetic is float64; the caller's JAX configuration is left as it was.
@@ -22,8 +23,8 @@ import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
-from plants.errors import ScenarioError
-from plants.simulation import blocks, commands, programs
+from plants.errors import OpaqueError, ScenarioError
+from plants.simulation import blocks, commands, programs, stepped
 from plants.simulation.fits import check, check_numbers
 from plants.simulation.flight import CULPRITS as CULPRITS
 from plants.simulation.flight import Flight, Row, advance, fly_each, launch
@@ -48,11 +49,12 @@ def simulate(loop: Loop, scenario: Scenario, *, compiled: bool | None = None, re
     Parameters
     ----------
     loop : Loop
-        Blocks are frozen dataclasses; their classes are registered with JAX as needed.
+        Blocks are frozen dataclasses; their classes are registered with JAX as needed. Others, and what JAX cannot
+        trace, fly stepped, run after run; see `stepped`.
     scenario : Scenario
     compiled : bool, optional
         True compiles the controller with the loop, False steps it from Python; by default it is compiled if it
-        can be traced.
+        can be traced. With True a block that JAX cannot trace raises `OpaqueError`.
     record : callable, optional
         ``record(x, env, sensors, navigator) -> arrays``, evaluated at every sample and returned as `Run.extra`.
         Pass a module-level function: a new lambda in every call compiles anew.
@@ -100,6 +102,29 @@ def simulate_many(
     """
     if not cases:
         raise ScenarioError("cases: got none; give at least one (loop, scenario)")
+    try:
+        return _fly_together(cases, compiled, record, varying, progress, on_compile)
+    except OpaqueError:
+        if compiled:
+            raise
+    return [_run(case[1], *_alone(case, record)) for case in cases]
+
+
+def _alone(case: tuple[Loop, Scenario], record: Record | None) -> tuple[Flight, Row, int, Any, bool]:
+    """One flight through `stepped`, as `_run` takes it."""
+    end, rows, memory = stepped.fly(*case, record)
+    return end, rows, 0, memory, False
+
+
+def _fly_together(
+    cases: Sequence[tuple[Loop, Scenario]],
+    compiled: bool | None,
+    record: Record | None,
+    varying: Collection[str],
+    progress: bool,
+    on_compile: Callable[[], None] | None,
+) -> list[Run]:
+    """`simulate_many` of what JAX can trace; OpaqueError before anything flies if it cannot."""
     loop, scenario = cases[0]
     check(loop, scenario)
     for case in cases[1:]:
@@ -107,7 +132,7 @@ def simulate_many(
     programs.make_room(_fly, _launch, _advance)
     with jax.enable_x64(True):
         if compiled is None:
-            compiled = can_compile(loop, scenario)
+            compiled = _traces(loop, scenario)
         if compiled:
             blocks.register(loop.controller)
             commands.shape(loop, scenario, compiled=True)
@@ -123,14 +148,25 @@ def simulate_many(
 
 
 def can_compile(loop: Loop, scenario: Scenario) -> bool:
-    """Whether the controller can be traced by JAX.
+    """Whether the loop can be traced by JAX, controller and all.
 
-    Any failure means no: stepped from Python, a genuine mistake in the controller shows itself again.
+    Any failure means no: stepped from Python, a genuine mistake shows itself again.
     """
     try:
+        check(loop, scenario)
         blocks.register(loop.controller)
         with jax.enable_x64(True):
-            commands.traced(loop, scenario)
+            commands.shape(loop, scenario, compiled=True)
+    except Exception:
+        return False
+    return True
+
+
+def _traces(loop: Loop, scenario: Scenario) -> bool:
+    """Whether the controller can be traced by JAX, in a loop that has been checked."""
+    try:
+        blocks.register(loop.controller)
+        commands.traced(loop, scenario)
     except Exception:
         return False
     return True
@@ -138,9 +174,13 @@ def can_compile(loop: Loop, scenario: Scenario) -> bool:
 
 def row_bytes(loop: Loop, scenario: Scenario, record: Record | None = None) -> int:
     """Memory that the rows of one run take, bytes."""
-    check(loop, scenario)
+    try:
+        check(loop, scenario)
+        with jax.enable_x64(True):
+            nu = commands.shape(loop, scenario, _traces(loop, scenario))
+    except OpaqueError:
+        return stepped.row_bytes(loop, scenario, record)
     with jax.enable_x64(True):
-        nu = commands.shape(loop, scenario, can_compile(loop, scenario))
 
         def one(loop: Loop, scn: Scenario) -> Any:
             return advance(loop, scn, record, launch(loop, scn, nu), jnp.zeros(nu), 0)[1]

@@ -50,8 +50,8 @@ def scenario(**more):
     return Scenario(**{"initial": start(), "dt": 1.0, "periods": 10, "environment": environment(), **more})
 
 
-def fly(changes=None, **more):
-    return plants.simulate(loop(**more), scenario(**(changes or {})))
+def fly(changes=None, compiled=None, **more):
+    return plants.simulate(loop(**more), scenario(**(changes or {})), compiled=compiled)
 
 
 def with_state(**more):
@@ -142,11 +142,15 @@ MISTAKES = {
     "a controller of two outputs": (lambda: fly(controller=control(nu=2)), "ReactionWheels does not take a command of"),
     "a design that fits nothing here": (lambda: fly(controller=design()), "LinearController.step raised"),
     "NumPy inside sensors": (
-        lambda: fly(sensors=NumPySensors(), navigator=plants.svd_navigator(suite())),
+        lambda: fly(sensors=NumPySensors(), navigator=plants.svd_navigator(suite()), compiled=True),
         "sensors: NumPySensors.measure line .* of test_beginners.py needs plain numbers .*jax.numpy",
     ),
-    "if inside an actuator": (lambda: fly(actuator=Choosing()), "Choosing.apply: line .* of test_beginners.py .*where"),
-    "a mutable dataclass": (lambda: fly(actuator=Loose()), "Loose is a mutable dataclass: declare it with frozen=True"),
+    "if inside an actuator": (
+        lambda: fly(actuator=Choosing(), compiled=True), "Choosing.apply: line .* of test_beginners.py .*where"
+    ),
+    "a mutable dataclass": (
+        lambda: fly(actuator=Loose(), compiled=True), "Loose is a mutable dataclass: declare it with frozen=True"
+    ),
     "an object for an actuator": (lambda: fly(actuator=object()), "loop.actuator has type object: make it a frozen"),
     "sensors that forget their state": (
         lambda: fly(sensors=Forgetful(), navigator=plants.svd_navigator(suite())),
@@ -201,5 +205,9 @@ def test_what_looks_like_a_mistake_and_is_none():
     run = fly(listed)
     assert run.ok
     np.testing.assert_array_equal(run.states.q, fly().states.q)
+    for actuator in (Choosing(), Loose()):  # stepped
+        flown = fly(actuator=actuator)
+        assert flown.ok
+        assert not flown.compiled
     K = design()
     assert isinstance(Loop(plant=body(), controller=K).controller, LinearController)
