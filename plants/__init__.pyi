@@ -10,6 +10,10 @@ from plants.dynamics.eulerbody import EulerBody as EulerBody
 from plants.dynamics.eulerbody import EulerState as EulerState
 from plants.dynamics.eulerbody import RandomTorque as RandomTorque
 from plants.dynamics.eulerbody import TorqueEnv as TorqueEnv
+from plants.dynamics.outside import CallablePlant as CallablePlant
+from plants.dynamics.outside import FmuPlant as FmuPlant
+from plants.dynamics.outside import callable_plant as callable_plant
+from plants.dynamics.outside import fmu_plant as fmu_plant
 from plants.dynamics.relative import Sky as Sky
 from plants.dynamics.relative import Station as Station
 from plants.dynamics.relative import StationState as StationState
@@ -19,6 +23,7 @@ from plants.dynamics.rigidbody import state_from as state_from
 from plants.dynamics.satellite import Satellite as Satellite
 from plants.dynamics.satellite import SatelliteState as SatelliteState
 from plants.errors import EngineError as EngineError
+from plants.errors import OpaqueError as OpaqueError
 from plants.errors import PlantError as PlantError
 from plants.errors import ScenarioError as ScenarioError
 from plants.errors import SingularityError as SingularityError
