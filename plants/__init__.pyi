@@ -128,6 +128,13 @@ from plants.outcome.budgets import Levels as Levels
 from plants.outcome.budgets import Spread as Spread
 from plants.outcome.budgets import budget as budget
 from plants.outcome.budgets import sampled_loop as sampled_loop
+from plants.outcome.claims import Reading as Reading
+from plants.outcome.claims import Rule as Rule
+from plants.outcome.claims import Statement as Statement
+from plants.outcome.claims import Verdict as Verdict
+from plants.outcome.claims import drawn as drawn
+from plants.outcome.claims import either as either
+from plants.outcome.claims import left_out as left_out
 from plants.outcome.consistency import Consistency as Consistency
 from plants.outcome.consistency import consistency as consistency
 from plants.outcome.consistency import consistency_table as consistency_table
@@ -143,6 +150,8 @@ from plants.outcome.indices import settling_time as settling_time
 from plants.outcome.indices import stability as stability
 from plants.outcome.indices import step_response as step_response
 from plants.outcome.indices import windows as windows
+from plants.outcome.paired import Paired as Paired
+from plants.outcome.paired import paired as paired
 from plants.outcome.plots import campaign_plot as campaign_plot
 from plants.outcome.plots import run_plot as run_plot
 from plants.outcome.report import Card as Card
@@ -152,12 +161,9 @@ from plants.outcome.report import Section as Section
 from plants.outcome.spheres import attitude_sphere as attitude_sphere
 from plants.outcome.spheres import body_axis as body_axis
 from plants.outcome.spheres import ground_track_plot as ground_track_plot
-from plants.outcome.study import Statement as Statement
 from plants.outcome.study import Table as Table
-from plants.outcome.study import Verdict as Verdict
 from plants.outcome.study import campaigns as campaigns
 from plants.outcome.study import drawings as drawings
-from plants.outcome.study import either as either
 from plants.outcome.tables import run_table as run_table
 from plants.outcome.worstbudget import WorstBudget as WorstBudget
 from plants.outcome.worstbudget import worst_budget as worst_budget

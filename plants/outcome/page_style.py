@@ -45,7 +45,7 @@ h2 { font-size: 1.25rem; line-height: 1.3; margin: 2.4rem 0 .7rem; padding-top: 
   border-top: 1px solid var(--line); }
 h3 { font-size: 1rem; margin: 0 0 .5rem; }
 p { max-width: 46rem; }
-.subtitle { margin-top: 0; }
+.subtitle { margin-top: 0; } .summary { font-size: 1.1rem; } .detail { color: var(--soft); font-size: .85em; }
 .subtitle, figcaption, footer { color: var(--soft); }
 a { color: var(--link); }
 :focus-visible { outline: 3px solid var(--link); outline-offset: 2px; border-radius: .2rem; }
@@ -84,6 +84,8 @@ td.pass, .verdict.pass { color: var(--good); } td.fail, .verdict.fail { color: v
 .card dl div { display: flex; justify-content: space-between; gap: 1rem; padding: .15rem 0; }
 .card dt { color: var(--soft); flex: none; } .card dd { margin: 0; text-align: right; overflow-wrap: anywhere;
   font-variant-numeric: tabular-nums; }
+.definitions div { display: flex; gap: 1rem; padding: .15rem 0; } .definitions dt { flex: 0 0 5rem; font-weight: 600; }
+.definitions dd { margin: 0; }
 .files { padding-left: 1.1rem; margin: .7rem 0 0; }
 
 figure { margin: 1.2rem 0; padding: .9rem; background: var(--card); border-radius: .5rem; }

@@ -11,7 +11,7 @@ from __future__ import annotations
 import html
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import count
 from typing import Any, NamedTuple
 from urllib.parse import quote
@@ -51,7 +51,8 @@ STYLE: dict[Any, Any] = {
 }
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"  # of the browser: no program, nothing fetched
 SIGNS = {"pass": ("&#10003;", "met"), "fail": ("&#10007;", "not met")}  # sign, and the word that is read aloud
-VERDICTS = {"holds": ("pass", "&#10003;"), "does not hold": ("fail", "&#10007;"), "not measured": ("none", "&#8211;")}
+VERDICTS = {"holds": ("pass", "&#10003;"), "does not hold": ("fail", "&#10007;"), "drawn": ("pass", "&#10003;")}
+VERDICTS |= dict.fromkeys(("not measured", "not decided", "left out"), ("none", "&#8211;"))
 DEPENDS = ("part", "&#8776;")  # of a verdict that depends on something
 
 
@@ -64,8 +65,11 @@ class Claim(NamedTuple):
 
     text: str
     source: str  # section, table or figure
-    verdict: str  # "holds", "does not hold", "depends on ...", "not measured"
+    verdict: str  # "holds", "does not hold", "depends on ...", "not decided", "not measured", "drawn", "left out"
     measured: str  # the figures behind the verdict
+    printed: str = ""  # the paper's own figure
+    rule: str = ""  # when it holds, in words
+    why: str = ""  # why the verdict is what it is
 
 
 class Requirement(NamedTuple):
@@ -170,7 +174,12 @@ def claims_table(claims: Sequence[Claim]) -> str:
         verdict = Html(
             f'<span class="verdict {mark}"><span aria-hidden="true">{sign}</span> {html.escape(claim.verdict)}</span>'
         )
-        rows.append((claim.text, claim.source, verdict, claim.measured))
+        details = "".join(
+            f'<br><span class="detail">{html.escape(f"{name}: {text}")}</span>'
+            for name, text in (("printed", claim.printed), ("holds if", claim.rule), ("why", claim.why))
+            if text
+        )
+        rows.append((claim.text, claim.source, verdict, Html(html.escape(claim.measured) + details)))
     return table(("claim", "where", "verdict", "measured"), rows, label="Claims and verdicts", stacked=True)
 
 
@@ -190,6 +199,12 @@ def requirements_table(requirements: Sequence[Requirement]) -> str:
         ))  # fmt: skip
     headers = ("requirement", "measured", "required", "margin", "verdict")
     return table(headers, rows, label="Requirements and margins", stacked=True)
+
+
+def definitions(words: Mapping[str, str]) -> str:
+    """Short forms and what they stand for."""
+    rows = "".join(f"<div><dt>{_text(short)}</dt><dd>{_text(text)}</dd></div>" for short, text in words.items())
+    return f'<dl class="definitions">{rows}</dl>'
 
 
 def cards(cards: Sequence[Card]) -> str:
@@ -251,6 +266,7 @@ def page(
     provenance: Sequence[str],
     *,
     highlights: Sequence[tuple[str, str]] = (),
+    summary: str = "",
 ) -> str:
     """The whole page.
 
@@ -260,6 +276,7 @@ def page(
     sections : in order, listed in the contents
     provenance : lines at its foot
     highlights : (figure, what it counts), in large letters below the title
+    summary : what a reader should take away, a sentence below the subtitle
     """
     names = _anchors([s.title for s in sections])
     body = "".join(
@@ -278,6 +295,7 @@ def page(
         f"<title>{html.escape(title)}</title><style>{CSS}</style></head><body>"
         '<a class="skip" href="#content">Skip to the content</a>'
         f'<header><h1>{html.escape(title)}</h1><p class="subtitle">{html.escape(subtitle)}</p>'
+        f"{f'<p class=summary>{html.escape(summary)}</p>' if summary else ''}"
         f"{f'<dl class=tiles>{tiles}</dl>' if tiles else ''}"
         f'<nav aria-label="Contents"><ul>{contents}</ul></nav></header>'
         f'<main id="content">{body}</main>'

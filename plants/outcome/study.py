@@ -29,6 +29,8 @@ from matplotlib.figure import Figure
 from plants.errors import EngineError, StoreError
 from plants.files import usable, write_atomically
 from plants.outcome import report
+from plants.outcome.claims import Statement, judged, stored_claims
+from plants.outcome.claims import either as either
 from plants.simulation import campaign
 from plants.simulation.conduct import terminable
 from plants.simulation.progress import Bar
@@ -37,16 +39,6 @@ from plants.simulation.store import move_aside
 FILES = {"json": "with its plant, every bit", "mat": "for MATLAB and Octave"}  # that a design writes
 PACKAGES = ("convex-synth", "jax", "numpy", "scipy")  # named at the foot of every page
 INTERRUPTED = 130  # exit code, as of a program ended by Ctrl-C
-
-Verdict = tuple[str, str]  # "holds", "does not hold", "depends on ..." or "not measured", and the figures behind it
-
-
-class Statement(NamedTuple):
-    """A claim of a paper, and the function that judges it by what was measured."""
-
-    text: str
-    source: str  # section, table or figure
-    judge: Callable[[], Verdict]
 
 
 class Table(NamedTuple):
@@ -231,25 +223,6 @@ def campaigns(
                 raise KeyboardInterrupt
 
 
-def judged(statements: Sequence[Statement]) -> list[report.Claim]:
-    """Every claim with its verdict; those whose runs are missing are "not measured"."""
-    claims = []
-    for statement in statements:
-        try:
-            verdict, measured = statement.judge()
-        except (KeyError, IndexError) as missing:
-            verdict, measured = "not measured", f"interrupted before {missing.args[0]}"
-        claims.append(report.Claim(statement.text, statement.source, verdict, measured))
-    return claims
-
-
-def either(first: bool, second: bool, dependence: str) -> str:
-    """The verdict "holds" when it does in both cases, "depends on ..." when in one."""
-    if first and second:
-        return "holds"
-    return f"depends on {dependence}" if first or second else "does not hold"
-
-
 def drawings(title: str, drawn: Sequence[tuple[Figure, str]]) -> report.Section:
     """A section of figures with their captions."""
     parts = [report.figure(fig, caption, salt=f"{title}{k}") for k, (fig, caption) in enumerate(drawn)]
@@ -280,8 +253,13 @@ def conclude(
     findings: Sequence[str] = (),
     packages: Collection[str] = (),
     notes: Sequence[str] = (),
+    paper: str = "",
+    counterparts: Sequence[report.Claim] = (),
+    summary: str = "",
+    abbreviations: Mapping[str, str] | None = None,
+    first: tuple[Figure, str] | None = None,
 ) -> int:
-    """Print tables and claims, write ``report.html`` into `out`, return the exit code.
+    """Print tables and claims, write ``report.html`` and ``claims.json`` into `out`, return the exit code.
 
     Parameters
     ----------
@@ -297,6 +275,11 @@ def conclude(
     findings : what the paper does not say, in sentences
     packages : versions to name beside `PACKAGES`
     notes : further lines at the foot
+    paper : whose claims these are, such as "003 Pecorilla and Stesina (2024)": the heading of its claims page
+    counterparts : of the paper's figures and tables that state nothing, see `drawn` and `left_out`
+    summary : a sentence that says which controller to take, and why
+    abbreviations : short form -> what it stands for, of those that the page uses
+    first : the figure that says most, with its caption: before all tables
     """
     claims = judged(statements)
     for table in tables:
@@ -305,9 +288,11 @@ def conclude(
         print(r)
     for claim in claims:
         print(f"{claim.text}\n  {claim.verdict.upper()}: {claim.measured}")
-    if findings:
-        print("\n".join(["", *findings]))
-    own = [report.Section("Margins", report.requirements_table(requirements))] if requirements else []
+    for text in (*findings, summary):
+        print(f"\n{text}" if text else "")
+    own = [drawings("At a glance", [first])] if first else []
+    if requirements:
+        own.append(report.Section("Margins", report.requirements_table(requirements)))
     own += [table.section() for table in tables]
     own.append(report.Section("The paper's claims, measured", report.claims_table(claims)))
     if findings:
@@ -316,7 +301,11 @@ def conclude(
         own.append(report.Section("Controllers", report.cards(cards)))
     foot = [*provenance(settings, study, packages), *notes]
     marks = highlights(requirements, claims)
-    path = written(out / "report.html", report.page(title, subtitle, [*own, *sections], foot, highlights=marks))
+    if abbreviations:
+        sections = [*sections, report.Section("Abbreviations", report.definitions(abbreviations))]
+    page = report.page(title, subtitle, [*own, *sections], foot, highlights=marks, summary=summary)
+    path = written(out / "report.html", page)
+    written(out / "claims.json", stored_claims(paper or title, [*claims, *counterparts], settings, study.complete))
     print(f"\nflown in {study.seconds:.0f} s; report: {path}")
     return 0 if study.complete else INTERRUPTED
 
@@ -329,7 +318,7 @@ def highlights(requirements: Sequence[report.Requirement], claims: Sequence[repo
         found.append((f"{sum(r.met for r in requirements)} of {len(requirements)}", "requirements met"))
         found.append((report.percent(tightest.margin), f"least margin: {tightest.name}"))
     if claims:
-        verdicts = [claim.verdict for claim in claims if claim.verdict != "not measured"]
+        verdicts = [claim.verdict for claim in claims if claim.verdict not in ("not measured", "not decided")]
         holds, fails = verdicts.count("holds"), verdicts.count("does not hold")
         for number, what in (
             (holds, "hold"),
