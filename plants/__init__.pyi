@@ -140,6 +140,8 @@ from plants.outcome.consistency import consistency as consistency
 from plants.outcome.consistency import consistency_table as consistency_table
 from plants.outcome.consistency import nees as nees
 from plants.outcome.consistency import nis as nis
+from plants.outcome.ecss import EcssIndices as EcssIndices
+from plants.outcome.ecss import ecss_indices as ecss_indices
 from plants.outcome.indices import Errors as Errors
 from plants.outcome.indices import Indices as Indices
 from plants.outcome.indices import clopper_pearson as clopper_pearson

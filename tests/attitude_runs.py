@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from plants.simulation.loop import Run
 
@@ -42,3 +43,31 @@ def attitude_run(n: int = 40, wheels: int = 3, **changes: Any) -> Run:
         "failed_at": None, "culprit": "", "compiled": True,
     }  # fmt: skip
     return Run(**(fields | changes))
+
+
+def attitudes(angles):
+    """Outputs (N, 6) of 3-2-1 Euler angles (N, 3) rad; SciPy's quaternion is the same."""
+    q = Rotation.from_euler("ZYX", np.asarray(angles)[:, ::-1]).as_quat(scalar_first=True)
+    q *= np.where(q[:, :1] < 0, -1, 1)
+    return np.hstack([q[:, 1:], np.zeros((len(q), 3))])
+
+
+def run(true, known=None, desired=None, torque=None, h=0.5):
+    """A sound run of 3-2-1 Euler angles (N, 3) rad: true, estimated and desired."""
+    n = len(true)
+    true = attitudes(true)
+    return Run(
+        duration=n * h,
+        time=h * np.arange(n),
+        states=None,
+        outputs=true,
+        estimates=true if known is None else attitudes(known),
+        references=np.zeros((n, 6)) if desired is None else attitudes(desired),
+        commands=np.zeros((n, 3)),
+        inputs=np.zeros((n, 3)) if torque is None else torque,
+        extra=None,
+        ok=True,
+        failed_at=None,
+        culprit="",
+        compiled=True,
+    )

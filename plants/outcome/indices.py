@@ -1,11 +1,13 @@
-"""Pointing performance by ECSS-E-ST-60-10C, wheel effort and settling time of a run.
+"""Pointing indices of a paper's table, wheel effort and settling time of a run.
 
 Errors are 3-2-1 Euler angles of an error rotation, per axis:
 
     APE  absolute performance error      true attitude against the desired
     control error                        estimated attitude against the desired
     AKE  absolute knowledge error        true attitude against the estimated
-    PSE  performance stability error     APE(t) - APE(t - delta_t)
+    PSE  performance stability error     APE(t) - APE(t - delta_t), the paper's own
+
+APE and AKE are those of ECSS-E-ST-60-10C, whose indices over windows are in `ecss`.
 
 The temporal interpretation holds: an index is the level that the magnitude of the error does not exceed for the
 given share of the time, here the smallest recorded value with that property. Pecorilla and Stesina (2024), table 1.

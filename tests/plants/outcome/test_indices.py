@@ -4,41 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from attitude_runs import run
 from scipy.spatial.transform import Rotation
 from scipy.stats import binomtest
 
 from plants.errors import ScenarioError
 from plants.outcome import indices
-from plants.simulation.simulate import Run
 
 ROUNDING = 1e-12  # trigonometry there and back
-
-
-def attitudes(angles):
-    """Outputs (N, 6) of 3-2-1 Euler angles (N, 3) rad; SciPy's quaternion is the same."""
-    q = Rotation.from_euler("ZYX", np.asarray(angles)[:, ::-1]).as_quat(scalar_first=True)
-    q *= np.where(q[:, :1] < 0, -1, 1)
-    return np.hstack([q[:, 1:], np.zeros((len(q), 3))])
-
-
-def run(true, known=None, desired=None, torque=None, h=0.5):
-    n = len(true)
-    true = attitudes(true)
-    return Run(
-        duration=n * h,
-        time=h * np.arange(n),
-        states=None,
-        outputs=true,
-        estimates=true if known is None else attitudes(known),
-        references=np.zeros((n, 6)) if desired is None else attitudes(desired),
-        commands=np.zeros((n, 3)),
-        inputs=np.zeros((n, 3)) if torque is None else torque,
-        extra=None,
-        ok=True,
-        failed_at=None,
-        culprit="",
-        compiled=True,
-    )
 
 
 def test_performance_error_is_the_95th_percentile_per_axis():
