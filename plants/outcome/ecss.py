@@ -182,13 +182,13 @@ def _errors(
     run: Run, direction: np.ndarray | None, length: int, first: int, drift: int, repeat: int
 ) -> dict[str, np.ndarray]:
     """Errors by index, (..., 3 or 4) rad each."""
-    by_axis = pointing_errors(run)
+    by_axis, last = pointing_errors(run), first + (len(run.time) - first) // length * length
     found: dict[str, np.ndarray] = {}
     for angles, against, knowledge in ((by_axis.ape, run.references, False), (by_axis.ake, run.estimates, True)):
-        parts = _of_angles(angles[first:], length, drift, repeat)
+        parts = _of_angles(angles[first:last], length, drift, repeat)
         if direction is not None:
             with jax.enable_x64(True):
-                miss = error(run.outputs[first:, :3], against[first:, :3])
+                miss = error(run.outputs[first:last, :3], against[first:last, :3])
                 seen = np.asarray(attitude.rotate(attitude.conjugate(miss), np.broadcast_to(direction, (len(miss), 3))))
             cones = _of_directions(seen, direction, length, drift, repeat)
             parts = {name: np.column_stack([part, cones[name]]) for name, part in parts.items()}
@@ -213,7 +213,7 @@ def _of_angles(angles: np.ndarray, length: int, drift: int, repeat: int) -> dict
 
 def _of_directions(seen: np.ndarray, wanted: np.ndarray, length: int, drift: int, repeat: int) -> dict[str, np.ndarray]:
     """Indices of unit directions (N, 3) against the one wanted: half-cones, rad."""
-    parts = seen[: len(seen) // length * length].reshape(-1, length, 3)
+    parts = seen.reshape(-1, length, 3)
     mean = parts.mean(axis=1)
     mean /= np.linalg.norm(mean, axis=1, keepdims=True)
     relative = _between(parts, mean[:, None]).ravel()
