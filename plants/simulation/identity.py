@@ -92,7 +92,14 @@ def _content(cell: Any) -> Any:
 
 
 def _members(thing: Any) -> Iterable[tuple[Any, Any]]:
-    """Names and values of what a thing holds; what a library in C holds is not seen."""
+    """Names and values of what a thing holds; what a library in C holds is not seen.
+
+    A thing that says what it is pickled as is that: what it keeps beside, such as a solver's memory, changes while it
+    flies. Nor does a cached property count.
+    """
+    reduce = inspect.getattr_static(type(thing), "__reduce__")
+    if isinstance(reduce, FunctionType):
+        return list(enumerate(reduce(thing)))
     if dataclasses.is_dataclass(thing):
         return [(f.name, getattr(thing, f.name)) for f in dataclasses.fields(thing)]
     if isinstance(thing, Mapping):
@@ -103,4 +110,6 @@ def _members(thing: Any) -> Iterable[tuple[Any, Any]]:
         return list(enumerate(thing))
     slots = {name for kind in type(thing).__mro__ for name in np.atleast_1d(getattr(kind, "__slots__", ()))}
     found = {name: getattr(thing, name) for name in sorted(slots) if hasattr(thing, name)}
-    return sorted({**found, **getattr(thing, "__dict__", {})}.items())
+    own = {**found, **getattr(thing, "__dict__", {})}
+    cached = functools.cached_property
+    return sorted((n, v) for n, v in own.items() if not isinstance(getattr(type(thing), n, None), cached))

@@ -15,6 +15,7 @@ from hypothesis.extra import numpy as hnp
 from processes import started
 from scipy.interpolate import CubicSpline
 
+import synth
 from plants.errors import StoreError
 from plants.simulation import identity, records
 from plants.simulation.batch import Batch
@@ -240,6 +241,47 @@ def test_digests_know_what_objects_hold():
 
 
 @pytest.mark.slow
+class Solver:
+    """A controller's part that remembers what it has done, and is pickled without it."""
+
+    def __init__(self, gain):
+        self.gain, self.memory = gain, []
+
+    def __reduce__(self):
+        return Solver, (self.gain,)
+
+
+class Lazy:
+    """Its square is worked out when it is asked for."""
+
+    def __init__(self, gain):
+        self.gain = gain
+
+    @functools.cached_property
+    def square(self):
+        return self.gain**2
+
+
+def test_digests_do_not_know_what_a_flight_leaves_behind():
+    """--resume refused a study whose MPC had met its last resort: the solver's memory was part of the controller."""
+    used, lazy = Solver(2.0), Lazy(2.0)
+    before = identity.digest(used), identity.digest(lazy)
+    used.memory.append(1.0)
+    assert lazy.square == 4.0
+    assert (identity.digest(used), identity.digest(lazy)) == before
+    assert identity.digest(Solver(3.0)) != before[0]
+    assert identity.digest(Lazy(3.0)) != before[1]
+
+
+def test_an_mpc_is_the_same_after_its_last_resort():
+    mpc = synth.mpc(synth.StateSpace([[1, 1], [0, 1]], [[0], [1]], np.eye(2), 0, dt=1.0),
+                    Np=5, Nc=3, Q=1.0, R=1.0, umin=-1.0, umax=1.0)  # fmt: skip
+    before = identity.digest(mpc)
+    mpc.step(mpc.init(), np.ones(2), np.zeros(2))
+    mpc.qp.exact(np.zeros(mpc.qp.slope.shape[1]))
+    assert identity.digest(mpc) == before
+
+
 def test_digests_are_the_same_in_every_process():
     text = (
         "from dispersed import *; import functools; from plants.simulation import identity;"
