@@ -226,7 +226,7 @@ def _write(page: Path, craft: Spacecraft, found: Comparison, pointing: float, to
         study.provenance(told, made),
         highlights=[(f"{met} of {len(found.requirements)}", "requirements met")],
     )
-    study.written(page, text)
+    study.written(page, text, sections)
 
 
 def _row(flown: Campaign) -> list[str]:

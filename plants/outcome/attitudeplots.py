@@ -14,8 +14,8 @@ from matplotlib.patches import Patch
 from plants.checks import positive
 from plants.errors import ScenarioError
 from plants.outcome.indices import pointing_errors
+from plants.outcome.inline import BOUND, COLOURS
 from plants.outcome.plots import axes_for, run_plot
-from plants.outcome.report import BOUND, COLOURS
 
 if TYPE_CHECKING:
     from plants.simulation.loop import Run

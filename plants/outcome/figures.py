@@ -1,4 +1,4 @@
-"""The figures that studies share: histories side by side, errors against their bounds, spreads over many runs."""
+"""The figures that studies share, in one column: histories, errors against their bounds, spreads over many runs."""
 
 from __future__ import annotations
 
@@ -12,22 +12,27 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from plants.outcome.indices import clopper_pearson
-from plants.outcome.report import BOUND, COLOURS, STYLE
+from plants.outcome.inline import BOUND, COLOURS, STYLE
 
 Series = Mapping[str, tuple[np.ndarray, np.ndarray]]  # name -> time (N,) s, values (N, k)
 DASHES = ("-", "--", "-.", ":")  # histories that coincide are told apart, also without colours
 DENSE = 2000  # points above which a line becomes a picture inside the SVG
+WIDTH = 4.7  # in, of every figure: one column, which a phone can show as well
+WIDEST, THINNEST = 2.2, 1.0  # pt, of the first and the last line, so that one that covers another leaves an edge
+FAR = 2.0  # times the largest value: a bound beyond it is named, not drawn, so that the signal fills its axes
 
 
 def histories(series: Series, rows: Sequence[str], *, until: float | None = None, scale: str = "linear") -> Figure:
     """One row of axes for each of the k values, one colour for each name; time in s, up to `until`; scale of y."""
     with mpl.rc_context(STYLE):
-        fig = Figure(figsize=(8.0, 1.0 + 1.35 * len(rows)), layout="constrained")
+        fig = Figure(figsize=(WIDTH, 1.0 + 1.35 * len(rows)), layout="constrained")
         axes = fig.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
-        for (name, (time, values)), dashes in zip(series.items(), cycle(DASHES)):
+        widths = np.linspace(WIDEST, THINNEST, len(series)) if len(series) > 1 else [THINNEST]
+        for (name, (time, values)), dashes, lw in zip(series.items(), cycle(DASHES), widths):
             shown = slice(None) if until is None else time <= until
             for ax, column in zip(axes, values.T, strict=True):
-                ax.plot(time[shown], column[shown], ls=dashes, label=name, rasterized=len(time[shown]) > DENSE)
+                dense = len(time[shown]) > DENSE
+                ax.plot(time[shown], column[shown], ls=dashes, lw=lw, label=name, rasterized=dense)
         for ax, label in zip(axes, rows, strict=True):
             ax.set_ylabel(label)
             ax.set_yscale(scale)
@@ -40,27 +45,32 @@ def histories(series: Series, rows: Sequence[str], *, until: float | None = None
 
 
 def against_bound(series: Series, rows: Sequence[str], bound: float, unit: str) -> Figure:
-    """One column for each name, one row for each of the k values, the bound as dashed lines."""
+    """One row of axes for each of the k values, one colour for each name, the largest behind, the bound dashed."""
     with mpl.rc_context(STYLE):
-        fig = Figure(figsize=(2.7 * len(series) + 0.6, 1.0 + 1.3 * len(rows)), layout="constrained")
-        axes = fig.subplots(len(rows), len(series), sharex=True, sharey=True, squeeze=False)
-        for j, (name, (time, values)) in enumerate(series.items()):
-            axes[0, j].set_title(name)
-            for i, column in enumerate(values.T):
-                axes[i, j].plot(time, column, lw=0.7, rasterized=len(time) > DENSE)
-                for level in (-bound, bound):
-                    axes[i, j].axhline(level, color=BOUND, ls="--", lw=0.9)
-            axes[-1, j].set_xlabel("time, s")
-        for i, label in enumerate(rows):
-            axes[i, 0].set_ylabel(f"{label}, {unit}")
-        axes[0, 0].set_ylim(-2 * bound, 2 * bound)
+        fig = Figure(figsize=(WIDTH, 1.0 + 1.35 * len(rows)), layout="constrained")
+        axes = fig.subplots(len(rows), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+        colours = dict(zip(series, cycle(COLOURS)))
+        largest = max(np.abs(values).max() for _, values in series.values())
+        for name in sorted(series, key=lambda n: -np.square(series[n][1]).mean()):
+            time, values = series[name]
+            for ax, column in zip(axes, values.T, strict=True):
+                ax.plot(time, column, lw=0.7, label=name, color=colours[name], rasterized=len(time) > DENSE)
+        top = 1.15 * (bound if largest < bound <= FAR * largest else largest)
+        for ax, label in zip(axes, rows, strict=True):
+            ax.set_ylabel(f"{label}, {unit}" if unit else label)
+            ax.set_ylim(-top, top)
+            for level in (-bound, bound):
+                ax.axhline(level, color=BOUND, ls="--", lw=0.9)
+        axes[-1].set_xlabel("time, s" if bound <= top else f"time, s; required: {bound:g} {unit}, beyond the axes")
+        fig.align_ylabels(axes)
+        fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=min(3, len(series)))
         return fig
 
 
 def spread(runs: Sequence[tuple[np.ndarray, np.ndarray]], rows: Sequence[str], *, until: float) -> Figure:
     """All runs in thin lines, one row of axes for each of the k values."""
     with mpl.rc_context(STYLE):
-        fig = Figure(figsize=(8.0, 1.0 + 1.35 * len(rows)), layout="constrained")
+        fig = Figure(figsize=(WIDTH, 1.0 + 1.35 * len(rows)), layout="constrained")
         axes = fig.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
         alpha = float(np.clip(10 / max(len(runs), 1), 0.4, 1.0))  # many lines shade, few are seen
         for time, values in runs:
@@ -75,19 +85,19 @@ def spread(runs: Sequence[tuple[np.ndarray, np.ndarray]], rows: Sequence[str], *
 
 
 def bundles(flights: Mapping[str, Sequence[tuple[np.ndarray, np.ndarray]]], label: str, bound: float) -> Figure:
-    """Side by side for each name: all its flights (time (N,) s, value (N,)) in thin lines, logarithmic, and a bound."""
+    """One row of axes for each name: all its flights (time (N,) s, value (N,)), logarithmic, and a bound."""
     with mpl.rc_context(STYLE):
-        fig = Figure(figsize=(2.7 * max(len(flights), 2) + 0.6, 3.0), layout="constrained")
-        axes = fig.subplots(1, len(flights), sharex=True, sharey=True, squeeze=False)[0]
+        fig = Figure(figsize=(WIDTH, 0.6 + 1.5 * len(flights)), layout="constrained")
+        axes = fig.subplots(len(flights), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
         for ax, (name, lines) in zip(axes, flights.items(), strict=True):
             for time, value in lines:
                 ax.plot(time, np.maximum(value, 1e-3 * bound), color=COLOURS[0], alpha=0.5, lw=0.7, rasterized=True)
             ax.axhline(bound, color=BOUND, ls="--", lw=0.9)
             ax.set_title(name)
-            ax.set_xlabel("time, s")
+            ax.set_ylabel(label)
             ax.set_yscale("log")
             ax.yaxis.set_major_formatter("{x:g}")
-        axes[0].set_ylabel(label)
+        axes[-1].set_xlabel("time, s")
         return fig
 
 
@@ -101,9 +111,13 @@ def levels(names: Sequence[str], values: Mapping[str, np.ndarray], bounds: Mappi
     bounds : index -> requirement
     """
     with mpl.rc_context(STYLE):
-        fig = Figure(figsize=(2.1 * len(values) + 0.6, 3.4), layout="constrained")
-        axes: Any = fig.subplots(1, len(values), squeeze=False)[0]
-        for ax, (index, table) in zip(axes, values.items(), strict=True):
+        columns = min(2, len(values))
+        down = -(-len(values) // columns)
+        fig = Figure(figsize=(WIDTH, 3.2 * down), layout="constrained")
+        axes: Any = fig.subplots(down, columns, squeeze=False).ravel()
+        for ax in axes[len(values) :]:
+            ax.remove()
+        for ax, (index, table) in zip(axes, values.items(), strict=False):  # the last may be left over
             for j, row in enumerate(table):
                 offset = np.linspace(-0.28, 0.28, len(row)) if len(row) > 1 else np.zeros(1)
                 ax.plot(j + offset, row, ".", ms=4 if len(row) > 12 else 6)
@@ -126,26 +140,26 @@ def scatter(
     across: Sequence[float] = (),
     diagonal: bool = False,
 ) -> Figure:
-    """Points side by side: title -> (x (N,), y (N,), group -> mask (N,)), a colour for each group.
+    """Points, one panel below the other: title -> (x (N,), y (N,), group -> mask (N,)), a colour for each group.
 
     Dashed lines stand at the x of `up` and the y of `across`, and on y = x for `diagonal`.
     """
     with mpl.rc_context(STYLE):
-        fig = Figure(figsize=(max(4.6, 3.6 * len(panels)), 3.8), layout="constrained")
-        axes = fig.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
+        fig = Figure(figsize=(WIDTH, 0.6 + 2.9 * len(panels)), layout="constrained")
+        axes = fig.subplots(len(panels), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
         size = 7.0 if max(len(x) for x, _, _ in panels.values()) <= DENSE else 2.0
         for ax, (title, (x, y, groups)) in zip(axes, panels.items(), strict=True):
             for label, mask in groups.items():
                 ax.plot(x[mask], y[mask], ".", ms=size, mew=0, label=label, rasterized=True)
             ax.set_title(title)
-            ax.set_xlabel(xlabel)
+            ax.set_ylabel(ylabel)
             for level in up:
                 ax.axvline(level, color=BOUND, ls="--", lw=0.9)
             for level in across:
                 ax.axhline(level, color=BOUND, ls="--", lw=0.9)
             if diagonal:
                 ax.axline((0, 0), slope=1, color="#888888", ls="--", lw=0.9)
-        axes[0].set_ylabel(ylabel)
+        axes[-1].set_xlabel(xlabel)
         handles, labels = axes[0].get_legend_handles_labels()
         fig.legend(handles, labels, loc="outside upper left", ncols=min(4, len(labels)), markerscale=10 / size)
         return fig
@@ -168,7 +182,7 @@ def shares(
     totals : (k,) runs in the bin; empty bins are left out
     """
     with mpl.rc_context(STYLE):
-        fig = Figure(figsize=(8.0, 3.4), layout="constrained")
+        fig = Figure(figsize=(WIDTH, 3.4), layout="constrained")
         ax = fig.subplots()
         filled = totals > 0
         middle = (0.5 * (edges[1:] + edges[:-1]))[filled]
@@ -190,8 +204,8 @@ def composition(panels: Mapping[str, Mapping[str, np.ndarray]], parts: Sequence[
     """Bars of what sums are made of, in per cent: title -> row -> (parts,), none negative."""
     with mpl.rc_context(STYLE):
         rows = max(len(panel) for panel in panels.values())
-        fig = Figure(figsize=(2.3 * len(panels) + 1.9, 0.9 + 0.24 * rows), layout="constrained")
-        axes = fig.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
+        fig = Figure(figsize=(WIDTH, 0.9 + (0.3 + 0.2 * rows) * len(panels)), layout="constrained")
+        axes = fig.subplots(len(panels), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
         for ax, (title, panel) in zip(axes, panels.items(), strict=True):
             table = np.array(list(panel.values()), float)
             total = table.sum(axis=1, keepdims=True)
@@ -203,6 +217,6 @@ def composition(panels: Mapping[str, Mapping[str, np.ndarray]], parts: Sequence[
             ax.grid(False)
             ax.set_xlim(0, 100)
         axes[0].invert_yaxis()
-        axes[len(axes) // 2].set_xlabel("%")
+        axes[-1].set_xlabel("%")
         fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=min(3, len(parts)))
         return fig

@@ -63,12 +63,19 @@ nav a:hover { background: var(--card); }
 .tiles dt { color: var(--soft); font-size: .82rem; line-height: 1.3; }
 .tiles dd { margin: 0; font-size: 1.5rem; font-weight: 600; font-variant-numeric: tabular-nums; line-height: 1.3; }
 
-.scroll { overflow-x: auto; }
+.scroll { overflow-x: auto; background:
+  linear-gradient(to right, var(--back) 30%, transparent) 0 0 / 2.5rem 100% local,
+  linear-gradient(to left, var(--back) 30%, transparent) 100% 0 / 2.5rem 100% local,
+  linear-gradient(to right, var(--line), transparent) 0 0 / .8rem 100% scroll,
+  linear-gradient(to left, var(--line), transparent) 100% 0 / .8rem 100% scroll; background-repeat: no-repeat; }
+figure .scroll { background: none; }
 table { border-collapse: collapse; width: 100%; font-size: .9rem; font-variant-numeric: tabular-nums; }
 th, td { text-align: left; padding: .4rem .9rem .4rem 0; border-bottom: 1px solid var(--line); vertical-align: top; }
 thead th { font-weight: 600; color: var(--soft); white-space: nowrap; vertical-align: bottom; }
 tbody th { font-weight: 500; }
-.wide td { white-space: nowrap; }
+.wide { width: auto; min-width: min(100%, 36rem); } .wide td { white-space: nowrap; }
+.wide th, .wide td { padding-right: 1.4rem; }
+.number { text-align: right; } .pad { visibility: hidden; }
 td.pass, .verdict.pass { color: var(--good); } td.fail, .verdict.fail { color: var(--bad); }
 .verdict.part { color: var(--part); } .verdict.none { color: var(--soft); }
 .verdict { font-weight: 600; }
@@ -88,8 +95,14 @@ td.pass, .verdict.pass { color: var(--good); } td.fail, .verdict.fail { color: v
 .definitions dd { margin: 0; }
 .files { padding-left: 1.1rem; margin: .7rem 0 0; }
 
-figure { margin: 1.2rem 0; padding: .9rem; background: var(--card); border-radius: .5rem; }
+.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 27rem), 1fr)); gap: 0 1rem;
+  align-items: start; }
+.figures:has(:checked) { display: block; }
+figure { margin: 1.2rem 0 0; padding: .9rem; background: var(--card); border-radius: .5rem; }
 figure svg { display: block; width: 100%; height: auto; color: var(--ink); }
+figure:has(:checked) svg { width: 220%; max-width: none !important; }
+.tool { font-size: .85rem; white-space: nowrap; margin-left: .6rem; }
+label.tool { cursor: pointer; color: var(--link); }
 figcaption { font-size: .9rem; margin-top: .5rem; max-width: 46rem; }
 pre { overflow-x: auto; background: var(--card); padding: .8rem; border-radius: .5rem; font-size: .85rem; }
 footer { font-size: .85rem; } footer h2 { font-size: 1rem; margin-top: 3rem; } footer ul { padding-left: 1.1rem; }
@@ -97,16 +110,17 @@ footer { font-size: .85rem; } footer h2 { font-size: 1rem; margin-top: 3rem; } f
 @media screen and (max-width: 44rem) {
   .wide tbody th { position: sticky; left: 0; background: var(--back); min-width: 7.5rem; max-width: 9rem; }
   figure { margin-inline: -.4rem; padding: .6rem; }
-  figure svg { min-width: 36rem; }
   .stacked, .stacked tbody, .stacked tr, .stacked th, .stacked td { display: block; width: 100%; }
   .stacked thead { position: absolute; clip-path: inset(50%); height: 1px; overflow: hidden; width: 1px; }
   .stacked tr { padding: .7rem 0; border-bottom: 1px solid var(--line); }
   .stacked th, .stacked td { border: 0; padding: .1rem 0; }
   .stacked tbody th { font-weight: 600; }
   .stacked td { display: flex; gap: .8rem; }
+  .stacked .number { text-align: left; } .stacked .pad { display: none; }
   .stacked td::before { content: attr(data-label); flex: 0 0 5.2rem; color: var(--soft); font-weight: 400; }
 }
 @media print {
+  .tool { display: none; }
   body { max-width: none; padding: 0; font-size: 10pt; }
   nav, .skip { display: none; }
   .scroll { overflow: visible; }

@@ -9,50 +9,28 @@ anywhere, and nothing is a program.
 from __future__ import annotations
 
 import html
-import io
 import re
 from collections.abc import Mapping, Sequence
 from itertools import count
+from types import MappingProxyType
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-import matplotlib as mpl
 import numpy as np
-from cycler import cycler
-from matplotlib.figure import Figure
-from matplotlib.text import Text
 
+from plants.outcome.inline import BOUND as BOUND
+from plants.outcome.inline import COLOURS as COLOURS
+from plants.outcome.inline import INK as INK
+from plants.outcome.inline import STYLE as STYLE
+from plants.outcome.inline import figure as figure
 from plants.outcome.page_style import CSS
 
-INK = "#010203"  # stands for the page's text colour while a figure is drawn
-COLOURS = ("#2b7fc3", "#c9660c", "#2b8f4b", "#c2459b", "#8467d0", "#8c7718", "#7a7a7a")
-BOUND = "#d23f38"  # of requirements in figures
-LARGEST = 1.35  # width of a figure on the page over the width it was drawn for
-STYLE: dict[Any, Any] = {
-    "axes.edgecolor": INK,
-    "axes.labelcolor": INK,
-    "axes.facecolor": "none",
-    "axes.grid": True,
-    "axes.prop_cycle": cycler(color=COLOURS),
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "axes.titlesize": "medium",
-    "figure.facecolor": "none",
-    "font.size": 9,
-    "grid.alpha": 0.25,
-    "grid.color": "#888888",
-    "legend.frameon": False,
-    "lines.linewidth": 1.1,
-    "savefig.facecolor": "none",
-    "svg.fonttype": "none",
-    "text.color": INK,
-    "xtick.color": INK,
-    "ytick.color": INK,
-}
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"  # of the browser: no program, nothing fetched
 SIGNS = {"pass": ("&#10003;", "met"), "fail": ("&#10007;", "not met")}  # sign, and the word that is read aloud
 VERDICTS = {"holds": ("pass", "&#10003;"), "does not hold": ("fail", "&#10007;"), "drawn": ("pass", "&#10003;")}
 VERDICTS |= dict.fromkeys(("not measured", "not decided", "left out"), ("none", "&#8211;"))
+NUMBER = re.compile(r"(?P<whole>[+-]?\d+)(?P<decimals>\.\d+)?(e[+-]\d+)?( ?[%a-zA-Z]{1,3}|/\d+)?")
+WORD = 10  # letters of a word that may stand among numbers, such as "never"
 DEPENDS = ("part", "&#8776;")  # of a verdict that depends on something
 
 
@@ -113,10 +91,11 @@ class Card(NamedTuple):
 
 
 class Section(NamedTuple):
-    """A heading and the HTML below it."""
+    """A heading, the HTML below it, and the files beside the page that it offers."""
 
     title: str
     body: str
+    files: Mapping[str, str] = MappingProxyType({})  # name -> text
 
 
 def paragraph(text: str) -> str:
@@ -144,12 +123,18 @@ def table(
         scroll sideways there
     """
     # the roles are those of the elements, but a table that is not displayed as one would lose them
-    head = "".join(f'<th role="columnheader" scope="col">{_text(h)}</th>' for h in headers)
+    columns = [_aligned([row[j] for row in rows]) for j in range(1, len(headers))]
+    kinds = ["", *(' class="number"' if column else "" for column in columns)]
+    heads = zip(headers, kinds, strict=True)
+    head = "".join(f'<th role="columnheader" scope="col"{kind}>{_text(h)}</th>' for h, kind in heads)
     lines = []
     for i, row in enumerate(rows):
         classes = marks[i] if marks else [""] * len(row)
         first = f'<th role="rowheader" scope="row">{_text(row[0])}</th>'
-        cells = [_cell(v, c, h) for v, c, h in zip(row[1:], classes[1:], headers[1:], strict=True)]
+        cells = [
+            _cell(column[i] if column else value, f"{mark} number".strip() if column else mark, header)
+            for value, mark, header, column in zip(row[1:], classes[1:], headers[1:], columns, strict=True)
+        ]
         lines.append(f'<tr role="row">{first}{"".join(cells)}</tr>')
     name = html.escape(label or f"Table: {headers[0]}", quote=True)
     kind = "stacked" if stacked else "wide"
@@ -195,9 +180,9 @@ def requirements_table(requirements: Sequence[Requirement]) -> str:
         verdict = f'<span class="verdict {mark}"><span aria-hidden="true">{sign}</span> {word}</span>'
         rows.append((
             r.name, f"{r.value:.4g} {r.unit}", r.required,
-            Html(f"{percent(r.margin)} {bar}"), Html(verdict),
+            Html(f'{percent(r.margin)} {bar} <span class="detail">{_used(used)}</span>'), Html(verdict),
         ))  # fmt: skip
-    headers = ("requirement", "measured", "required", "margin", "verdict")
+    headers = ("requirement", "measured", "required", "margin left", "verdict")
     return table(headers, rows, label="Requirements and margins", stacked=True)
 
 
@@ -218,39 +203,6 @@ def cards(cards: Sequence[Card]) -> str:
             f"{links(card.files) if card.files else ''}</article>"
         )
     return f'<div class="cards">{"".join(found)}</div>'
-
-
-def figure(fig: Figure, caption: str, *, salt: str, alternative: str = "") -> str:
-    """A matplotlib figure as inline SVG.
-
-    Parameters
-    ----------
-    fig : drawn with `STYLE`
-    caption : below it
-    salt : different for each figure of a page, keeps its ids apart
-    alternative : what is read aloud in place of the picture; by default that it is one, with its caption
-    """
-    for text in fig.findobj(Text):
-        if isinstance(text, Text) and "mathdefault" not in text.get_text():  # which is a number beside an axis
-            text.set_parse_math(False)  # names are shown as they are
-    buffer = io.StringIO()
-    with mpl.rc_context({"svg.hashsalt": salt, **STYLE}):
-        fig.savefig(
-            buffer,
-            format="svg",
-            metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")),
-            bbox_inches="tight",
-            dpi=150,
-        )
-    svg = buffer.getvalue()
-    svg = svg[svg.index("<svg") :].replace(INK, "currentColor")
-    svg = re.sub(r'<g id="[^"]*"', "<g", svg)  # nothing refers to groups, whose names are the same in all figures
-    label = html.escape(alternative or f"Figure: {caption}", quote=True)
-    width = float(svg.split('width="')[1].split("pt")[0])
-    opening = f'<svg role="img" aria-label="{label}" style="max-width:{LARGEST * width:.0f}pt" '
-    svg = svg.replace("<svg ", opening, 1)
-    frame = f'<div class="scroll" role="group" aria-label="figure, may scroll" tabindex="0">{svg}</div>'
-    return f"<figure>{frame}<figcaption>{html.escape(caption)}</figcaption></figure>"
 
 
 def links(files: Sequence[tuple[str, str]]) -> str:
@@ -308,11 +260,28 @@ def _text(value: Any) -> str:
     return value if isinstance(value, Html) else html.escape(str(value))
 
 
+def _aligned(column: Sequence[Any]) -> list[Html]:
+    """The texts of a column of numbers, their decimals under each other; empty if the column is none."""
+    texts = ["" if isinstance(value, Html) else str(value) for value in column]
+    parts = [NUMBER.fullmatch(text) for text in texts]
+    words = [text for text, part in zip(texts, parts, strict=True) if not part]
+    if not any(parts) or any(isinstance(value, Html) for value in column) or any(len(w) > WORD for w in words):
+        return []
+    most = max(len(part["decimals"] or ".") - 1 for part in parts if part)  # decimals
+    found = []
+    for text, part in zip(texts, parts, strict=True):
+        end = part.end("decimals" if part["decimals"] else "whole") if part else len(text)
+        unseen = f".{'0' * most}"[len(part["decimals"] or "") :] if part and most else ""
+        pad = f'<span class="pad" aria-hidden="true">{unseen}</span>' if unseen else ""
+        found.append(Html(html.escape(text[:end]) + pad + html.escape(text[end:])))
+    return found
+
+
 def _cell(value: Any, mark: str, header: str) -> str:
     """A cell with its sign; the header is shown beside it when the row is stacked."""
     sign = ""
-    if mark in SIGNS:
-        glyph, word = SIGNS[mark]
+    if (word := mark.split(" ")[0]) in SIGNS:
+        glyph, word = SIGNS[word]
         sign = f' <span class="sign" role="img" aria-label="{word}">{glyph}</span>'
     label = html.escape(header, quote=True)
     return f'<td role="cell" class="{mark}" data-label="{label}"><span>{_text(value)}{sign}</span></td>'
@@ -323,6 +292,11 @@ def percent(margin: float) -> str:
     if not np.isfinite(margin):
         return "none" if margin < 0 else "undefined" if np.isnan(margin) else "unlimited"
     return f"{margin:+.0f} %"
+
+
+def _used(part: float) -> str:
+    """How much of a requirement is used up, beside its bar."""
+    return f"{100 * part:.0f} % used" if np.isfinite(part) else ""
 
 
 def _anchors(titles: Sequence[str]) -> list[str]:

@@ -14,7 +14,7 @@ from plants.checks import real
 from plants.errors import ScenarioError
 from plants.geometry import attitude
 from plants.outcome.attitudeplots import demand_attitude
-from plants.outcome.report import BOUND
+from plants.outcome.inline import BOUND
 from plants.surroundings.ground import ground_track
 
 if TYPE_CHECKING:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import io
 import platform
+import re
 import sys
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -31,12 +32,14 @@ from plants.files import usable, write_atomically
 from plants.outcome import report
 from plants.outcome.claims import Statement, judged, stored_claims
 from plants.outcome.claims import either as either
+from plants.outcome.inline import csv
 from plants.simulation import campaign
 from plants.simulation.conduct import terminable
 from plants.simulation.progress import Bar
 from plants.simulation.store import move_aside
 
 FILES = {"json": "with its plant, every bit", "mat": "for MATLAB and Octave"}  # that a design writes
+DATA = "figures"  # folder beside the page for the data of its figures
 PACKAGES = ("convex-synth", "jax", "numpy", "scipy")  # named at the foot of every page
 INTERRUPTED = 130  # exit code, as of a program ended by Ctrl-C
 
@@ -61,7 +64,8 @@ class Table(NamedTuple):
         body = report.table(self.headers, self.rows, marks=self.marks)
         if self.note:
             body += report.paragraph(self.note)
-        return report.Section(self.title, body + drawings(self.title, self.drawn).body)
+        figures = drawings(self.title, self.drawn)
+        return report.Section(self.title, body + figures.body, figures.files)
 
 
 class Saved(Protocol):
@@ -224,9 +228,14 @@ def campaigns(
 
 
 def drawings(title: str, drawn: Sequence[tuple[Figure, str]]) -> report.Section:
-    """A section of figures with their captions."""
-    parts = [report.figure(fig, caption, salt=f"{title}{k}") for k, (fig, caption) in enumerate(drawn)]
-    return report.Section(title, "".join(parts))
+    """A section of figures with their captions, and the data of their lines."""
+    plain, parts, files = re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-") or "figure", [], {}
+    for k, (fig, caption) in enumerate(drawn):
+        name, data = f"{DATA}/{plain}-{k + 1}.csv", csv(fig)
+        if data:
+            files[name] = data
+        parts.append(report.figure(fig, caption, salt=f"{title}{k}", data=name if data else ""))
+    return report.Section(title, f'<div class="figures">{"".join(parts)}</div>' if parts else "", files)
 
 
 def card(name: str, design: Saved, out: Path, stem: str) -> report.Card:
@@ -304,7 +313,7 @@ def conclude(
     if abbreviations:
         sections = [*sections, report.Section("Abbreviations", report.definitions(abbreviations))]
     page = report.page(title, subtitle, [*own, *sections], foot, highlights=marks, summary=summary)
-    path = written(out / "report.html", page)
+    path = written(out / "report.html", page, [*own, *sections])
     written(out / "claims.json", stored_claims(paper or title, [*claims, *counterparts], settings, study.complete))
     print(f"\nflown in {study.seconds:.0f} s; report: {path}")
     return 0 if study.complete else INTERRUPTED
@@ -336,7 +345,10 @@ def provenance(settings: str, study: Study, packages: Collection[str] = ()) -> l
     return [f"{settings}; {state}; {study.seconds:.0f} s", f"Python {platform.python_version()}, {versions}"]
 
 
-def written(path: Path, page: str) -> Path:
-    """A page in its file; the folder is made if it is not there."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return write_atomically(path, page.encode())
+def written(path: Path, page: str, sections: Sequence[report.Section] = ()) -> Path:
+    """A page in its file, with the files of its sections beside it; folders are made if they are not there."""
+    texts = {path: page} | {path.parent / name: text for section in sections for name, text in section.files.items()}
+    for file, text in texts.items():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(file, text.encode())
+    return path

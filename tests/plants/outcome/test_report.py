@@ -1,5 +1,6 @@
 """Pages of studies: what they say, and how a real browser shows them."""
 
+import csv
 import re
 from html.parser import HTMLParser
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 from browser import CHROMIUM, FLAGS, check, needs_chromium
 
-from plants.outcome import figures, report
+from plants.outcome import figures, inline, report, study
 from plants.outcome.report import Card, Claim, Html, Requirement, Section
 
 LONG = "a sentence that goes on, as verdicts do, with figures 0.1234 and names that are long: " * 3
@@ -195,3 +196,80 @@ def test_phone_keyboard_and_paper(path):
         assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
         assert not page.get_by_role("navigation").is_visible()
         browser.close()
+
+
+def test_numbers_stand_with_their_decimals_under_each_other():
+    """Each cell of a column of numbers is padded, unseen, to the same number of places behind the point."""
+    rows = [
+        ["a", "1.25", "3/30", "word that is long", "7"],
+        ["b", "-10.5", "12/30", "x", "never"],
+        ["c", "3 %", "", "", ""],
+    ]
+    page = report.table(["name", "value", "count", "text", "time"], rows)
+    cells = re.findall(r'<td role="cell" class="([^"]*)" data-label="(\w+)"><span>(.*?)</span></td>', page)
+    kinds = {(label, kind) for kind, label, _ in cells}
+    assert kinds == {("value", "number"), ("count", "number"), ("text", ""), ("time", "number")}
+    shown = [re.sub("<[^>]*>", "", text) for _, label, text in cells if label == "value"]
+    assert shown == ["1.25", "-10.50", "3.00 %"]
+    assert 'class="pad" aria-hidden="true">0<' in page
+    assert page.count('class="number">value') == 1  # the header as well
+
+
+def test_marks_and_alignment_go_together():
+    page = report.table(["n", "v"], [["a", "1.5"], ["b", "10"]], marks=[["", "pass"], ["", "fail"]])
+    assert 'class="pass number"' in page
+    assert 'class="fail number"' in page
+    assert 'aria-label="not met"' in page
+
+
+def test_claims_say_when_they_hold_and_why():
+    claim = Claim(
+        "It points", "table 1", "holds", "0.1 deg", "0.2 deg", "error below 0.2 deg", "the loop is fast & <fine>"
+    )
+    page = report.claims_table([claim])
+    for text in ("printed: 0.2 deg", "holds if: error below 0.2 deg", "why: it is fast &amp; &lt;fine&gt;"):
+        assert text in page
+    assert "printed" not in report.claims_table(CLAIMS)
+
+
+def test_the_data_of_a_figure_are_those_of_its_lines():
+    time = np.linspace(0, 10, 5)
+    series = {"one": (time, np.c_[time, 2 * time]), 'two, "b"': (time[:3], np.c_[-time, time][:3])}
+    names, *rows = csv.reader(inline.csv(figures.histories(series, ["x, m", "y"])).splitlines())
+    assert names == ["time, s", "x, m: one", "time, s", 'x, m: two, "b"', "time, s", "y: one", "time, s", 'y: two, "b"']
+    table = np.array([[float(v) if v else np.nan for v in row] for row in rows])
+    np.testing.assert_allclose(table[:, :2], np.c_[time, time])
+    np.testing.assert_allclose(table[:3, 2:4], np.c_[time, -time][:3])
+    assert np.isnan(table[3:, 2:4]).all()
+    np.testing.assert_allclose(table[:, 5], 2 * time)
+    bounded = inline.csv(figures.against_bound({"one": (time, time[:, None])}, ["roll"], 3.0, "deg"))
+    assert bounded.splitlines()[0] == '"time, s","roll, deg: one"'  # the bound is none of the data
+    assert inline.csv(figures.composition({"a": {"b": np.ones(2)}}, ["c", "d"])) == ""
+
+
+def test_the_files_of_sections_are_written_beside_the_page(tmp_path):
+    time = np.linspace(0, 10, 5)
+    section = study.drawings("Figures 1 & 2", [(figures.histories({"one": (time, time[:, None])}, ["x"]), "One.")])
+    page = report.page("t", "s", [section], [])
+    study.written(tmp_path / "new" / "report.html", page, [section])
+    (link,) = re.findall(r'href="([^"]*csv)" download', page)
+    assert (tmp_path / "new" / link).read_text().startswith('"time, s","x: one"')
+
+
+def test_a_signal_fills_its_axes_and_a_bound_beyond_is_named():
+    """The axes of a study's errors were ten times as high as the errors."""
+    time, error = np.arange(3.0), np.array([[0.1], [-0.2], [0.15]])
+    for bound, inside in ((0.15, True), (0.3, True), (2.0, False)):
+        (ax,) = figures.against_bound({"one": (time, error)}, ["roll"], bound, "deg").axes
+        top = ax.get_ylim()[1]
+        assert 0.2 < top < 0.5
+        assert (bound < top) == inside
+        assert ("required: 2 deg, beyond the axes" in ax.get_xlabel()) != inside
+
+
+def test_curves_that_cover_each_other_leave_an_edge():
+    time = np.arange(3.0)
+    fig = figures.histories({name: (time, time[:, None]) for name in "abc"}, ["x"])
+    widths = [line.get_linewidth() for line in fig.axes[0].lines]
+    assert widths == sorted(widths, reverse=True)
+    assert len(set(widths)) == 3
