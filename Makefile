@@ -1,4 +1,5 @@
 # make demo   the CubeSat study in a fresh virtual environment
+# make claims all five studies, and the page of what became of the papers' claims
 # make test   everything that CI runs as tests
 # make check  formatting, lint, types, import contracts
 
@@ -8,10 +9,16 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 OUT    ?= out/cubesat3u
 
-.PHONY: demo test check clean
+.PHONY: demo claims test check clean
 
 demo: $(VENV)/run.stamp
 	$(BIN)/python examples/cubesat3u/cubesat3u.py --out $(OUT)
+
+STUDIES := cubesat3u/cubesat3u amazonia1/amazonia1 amazonia1/amazonia1_region airbearing/airbearing geo/geo
+
+claims: $(VENV)/run.stamp
+	for study in $(STUDIES); do $(BIN)/python examples/$$study.py --out out/$$(basename $$study) || exit; done
+	$(BIN)/python -m plants.outcome.claimspage $(addprefix out/,$(notdir $(STUDIES)))
 
 test: $(VENV)/dev.stamp
 	$(BIN)/python -m pytest -n 2 --dist loadfile

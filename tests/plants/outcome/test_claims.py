@@ -10,9 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from plants.errors import ScenarioError
+from plants.errors import ScenarioError, StoreError
+from plants.outcome import claimspage
 from plants.outcome.claims import Reading, Rule, Statement, drawn, judged, left_out, stored_claims
 from plants.outcome.paired import paired
+from plants.outcome.report import Claim
 
 BELOW = Rule("pointing error", "<", 0.2, "deg")
 NUMBERS = st.floats(-1e3, 1e3, width=32)
@@ -117,3 +119,44 @@ def test_a_run_that_never_got_there_is_larger_than_any_number():
 def test_unusable_pairs_are_refused(first, second, ratio, named):
     with pytest.raises(ScenarioError, match=named):
         paired(first, second, ratio=ratio)
+
+
+def stored(folder, paper, *verdicts):
+    """A study's folder."""
+    folder.mkdir()
+    claims = [Claim(f"claim {k} of {paper}", "section 1", v, "0.1 <m>") for k, v in enumerate(verdicts)]
+    (folder / "claims.json").write_text(stored_claims(paper, claims, "2 runs", True), encoding="utf-8")
+    return folder
+
+
+def test_the_page_of_all_papers_counts_every_line(tmp_path, capsys):
+    """Two studies of one paper are one section; the links lead to the reports."""
+    folders = [stored(tmp_path / "b", "002", "holds", "depends on x"), stored(tmp_path / "a", "001", "does not hold"),
+               stored(tmp_path / "c", "002", "left out", "drawn", "not decided")]  # fmt: skip
+    assert claimspage.main([*map(str, folders), "--out", str(tmp_path / "claims")]) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()[1:4]]
+    assert lines == [
+        ["001", "1", "0", "0", "1", "0", "0", "0", "0"],
+        ["002", "5", "1", "1", "0", "1", "0", "1", "1"],
+        ["all", "6", "1", "1", "1", "1", "0", "1", "1"],
+    ]
+    page = (tmp_path / "claims" / "index.html").read_text(encoding="utf-8")
+    assert page.count("<section") == 3
+    for link in ("../a/report.html", "../b/report.html", "../c/report.html"):
+        assert f'href="{link}"' in page
+    assert "0.1 &lt;m&gt;" in page
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", "null", '{"paper": 1, "settings": "", "complete": true, "claims": []}',
+             '{"paper": "", "settings": "", "complete": true, "claims": [{"text": "x"}]}', "[" * 10_000, "\x00"],
+)  # fmt: skip
+def test_a_damaged_file_of_claims_is_refused(tmp_path, text, capsys):
+    (tmp_path / "claims.json").write_text(text, encoding="utf-8")
+    with pytest.raises(StoreError, match=r"not the claims of a study .*run the study again"):
+        claimspage.read_claims(tmp_path)
+    with pytest.raises(SystemExit):
+        claimspage.main([str(tmp_path), "--out", str(tmp_path / "claims")])
+    assert "run the study again" in capsys.readouterr().err
+    with pytest.raises(StoreError, match="there is no such file; run the study with --out"):
+        claimspage.read_claims(tmp_path / "nowhere")

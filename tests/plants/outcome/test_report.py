@@ -227,7 +227,7 @@ def test_claims_say_when_they_hold_and_why():
         "It points", "table 1", "holds", "0.1 deg", "0.2 deg", "error below 0.2 deg", "the loop is fast & <fine>"
     )
     page = report.claims_table([claim])
-    for text in ("printed: 0.2 deg", "holds if: error below 0.2 deg", "why: it is fast &amp; &lt;fine&gt;"):
+    for text in ("printed: 0.2 deg", "holds if: error below 0.2 deg", "why: the loop is fast &amp; &lt;fine&gt;"):
         assert text in page
     assert "printed" not in report.claims_table(CLAIMS)
 
