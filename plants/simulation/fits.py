@@ -157,12 +157,12 @@ def untraceable(error: BaseException | None) -> bool:
     return isinstance(error, UNTRACEABLE) or alien or untraceable(error.__cause__ or error.__context__)
 
 
-def told(error: Exception, block: Any = None) -> str:
+def told(error: Exception) -> str:
     """An error in one line of its own words; that something cannot be compiled in the user's, with the line of code."""
     if isinstance(error, UNTRACEABLE):
         return (
             f"{_place(error)}needs plain numbers (NumPy, float() or `if`), and in a compiled flight there are none: "
-            + ("write it with jax.numpy, a choice with jnp.where")
+            "write it with jax.numpy, a choice with jnp.where"
         )
     text = str(error).partition("\n")[0]
     for word in ("DynamicJaxprTracer", "BatchTracer", "JVPTracer", "ShapeDtypeStruct"):

@@ -206,6 +206,7 @@ class Run:
     culprit: str  # "controller", "plant", "sensors" or "navigator"; "" if ok
     compiled: bool  # whether the controller was compiled with the loop or stepped from Python
     memory: Any = None  # the controller's state at the end: its counters, for example
+    actuator: Any = None  # the actuator's state at the end: what thrusters have given, for example
 
     def plot(self, ax: Any = None, **options: Any) -> np.ndarray:
         """Draw the run; see `plants.attitude_plot` for a body with an attitude, `plants.run_plot` for others."""

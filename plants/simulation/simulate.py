@@ -295,4 +295,5 @@ def _run(scn: Scenario, end: Flight, rows: Row, lane: int, memory: Any, compiled
         culprit=culprit,
         compiled=compiled,
         memory=memory,
+        actuator=jax.tree.map(lambda a: np.asarray(a[lane]).copy(), end.actuator),
     )

@@ -176,7 +176,8 @@ class _Clock:
                 break
         rows = rows or [_joined([blank] * scn.rows)]
         lane = jax.tree.map(lambda *parts: np.stack(parts)[None], *rows)
-        return w._replace(culprit=np.array([w.culprit]), failed=np.array([w.failed])), lane, memory
+        actuator = jax.tree.map(lambda a: np.asarray(a)[None], w.actuator)
+        return w._replace(culprit=np.array([w.culprit]), failed=np.array([w.failed]), actuator=actuator), lane, memory
 
     def probe(self) -> tuple[int, Row]:
         """Length of the command, and a row of what everything returns when it is called once."""

@@ -177,6 +177,9 @@ def test_minimum_impulse_limit_cycle_is_the_closed_form():
     np.testing.assert_allclose(np.abs(rate), w, rtol=1e-9)
     assert np.abs(angle).max() == pytest.approx(a, rel=0.02)
     assert np.diff(crossings(angle, run.time)).mean() == pytest.approx(4 * a / w, rel=0.02)
+    spent = run.actuator.thrusters  # two thrusters of a couple turn the rate by 2 w in each pulse
+    pulses = np.count_nonzero(np.diff(np.sign(rate)))
+    assert spent.impulse.sum() == pytest.approx(2 * FORCE * t * pulses, rel=2 / pulses)
 
 
 def test_propellant_is_impulse_over_exhaust_velocity():
