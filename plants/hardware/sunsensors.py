@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike as Given
 from plants.checks import Numbers, positive, real
 from plants.errors import ScenarioError
 from plants.geometry import attitude
-from plants.hardware.instruments import Direction, Innovation, Pair, direction_innovation, tick, unit, within
+from plants.hardware.directionsensors import FIELDS, DirectionSensor
+from plants.hardware.instruments import Innovation, Pair, tick, within
 from plants.simulation import blocks
 from plants.surroundings.orbit import EARTH_RADIUS
 
@@ -28,78 +29,18 @@ RINGS, SECTORS = 8, 16  # patches of the Earth that are summed
 ALBEDO = 0.3  # () of the Earth, the mean of all clouds and grounds
 
 
-@partial(blocks.node, data_fields=["noise", "boresight", "half_angle", "misalignment", "period"], meta_fields=[])
+@partial(blocks.node, data_fields=FIELDS, meta_fields=[])
 @dataclass(frozen=True, kw_only=True)
-class FineSunSensor:
-    """Direction to the Sun, where it is in view. Build it with `FineSunSensor.create`, which checks."""
+class FineSunSensor(DirectionSensor):
+    """Direction to the Sun, where at least half of its disc is in view. Build it with `create`, which checks."""
 
-    noise: ArrayLike  # () rad, 1 sigma per axis
-    boresight: Numbers  # (3,) unit vector, body axes
-    half_angle: ArrayLike  # () rad, of the field of view, a cone about the boresight
-    misalignment: Numbers  # (3,) rad, rotation of the true axes from the believed ones
-    period: ArrayLike  # () s between two readings, 0 for one at every sample
+    def target(self, env: Any) -> Array:
+        """Direction to the Sun (3,), frame N."""
+        return env.sun
 
-    @classmethod
-    def create(
-        cls,
-        *,
-        noise: float,
-        boresight: Given = (0.0, 0.0, 1.0),
-        half_angle: float = np.pi,
-        misalignment: Given = (0.0, 0.0, 0.0),
-        period: float = 0.0,
-    ) -> "FineSunSensor":
-        """A fine Sun sensor from its data sheet; without `half_angle` (rad) it sees in every direction.
-
-        Raises
-        ------
-        ScenarioError
-            Wrong shapes, NaN, negative numbers, a boresight that is not of length one, a half angle that is not
-            positive.
-        """
-        return cls(
-            noise=real("noise", noise, low=0),
-            boresight=unit("boresight", boresight),
-            half_angle=positive("half_angle", half_angle),
-            misalignment=real("misalignment", misalignment, (3,)),
-            period=real("period", period, low=0),
-        )
-
-    @property
-    def channels(self) -> int:
-        """Normal numbers per sample."""
-        return 3
-
-    @property
-    def parameters(self) -> str:
-        """What a filter may estimate of it, (3,)."""
-        return "misalignment, rad"
-
-    @property
-    def deviation(self) -> ArrayLike:
-        """1 sigma per axis, () rad."""
-        return self.noise
-
-    def init(self) -> Array:
-        """Time to the next reading, () s."""
-        return jnp.zeros(())
-
-    def measure(self, s: Array, x: Any, env: Any, noise: Array, h: ArrayLike) -> tuple[Array, Direction]:
-        """Direction to the Sun if it is time, at least half of the disc is visible and it is in view."""
-        wait, due = tick(s, self.period, h)
-        sun = attitude.rotate(x.q, env.sun)
-        cosine = jnp.cos(jnp.minimum(self.half_angle, jnp.pi))
-        seen = due * within(env.sunlit, DUSK) * within(attitude.dot(sun, self.boresight), cosine - 1e-12)
-        read = attitude.rotate(attitude.from_vector(self.misalignment), sun) + self.noise * noise
-        return wait, Direction(seen * read, seen)
-
-    def innovation(self, y: Direction, q: Array, own: Array, env: Any) -> Innovation:
-        """See `instruments.direction_innovation`."""
-        return direction_innovation(y, env.sun, q, own, self.noise)
-
-    def pair(self, y: Direction, env: Any) -> Pair:
-        """The direction in both frames."""
-        return Pair(y.vector, env.sun, jnp.asarray(self.noise), y.valid)
+    def light(self, env: Any) -> Array:
+        """Whether at least half of the disc is visible."""
+        return within(env.sunlit, DUSK)
 
 
 class Currents(NamedTuple):

@@ -145,7 +145,8 @@ def read_run(store: Store, index: int, like: Run) -> Run:
     if memory is not None:
         arrays = [np.array(values, kind).reshape(shape) for kind, shape, values in memory]
         about["memory"] = jax.tree.unflatten(jax.tree.structure(like.memory), arrays)
-    return dataclasses.replace(like, **{"memory": None, "actuator": None, **about}, **{name: tree(name) for name in ARRAYS})
+    ends = {"memory": None, "actuator": None, **about}
+    return dataclasses.replace(like, **ends, **{name: tree(name) for name in ARRAYS})
 
 
 def _plain(text: str) -> str:
