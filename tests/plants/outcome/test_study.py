@@ -1,13 +1,16 @@
 """The frame of the studies: options, interruptions, verdicts, and what is printed and written."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from browser import CHROMIUM, FLAGS, SCREENS, check, needs_chromium
 
-from plants.outcome import report, study
+from plants.outcome import figures, report, study
+from plants.outcome.claims import Reading, Rule, drawn, left_out
 from plants.outcome.study import Statement, Study, Table
 
 
@@ -139,3 +142,66 @@ def test_a_design_is_saved_and_has_a_card(tmp_path):
     made = study.card("The law", Design(), tmp_path / "new", "law")
     assert made.facts == [("gamma", "0.99")]
     assert [(tmp_path / "new" / name).read_text() for name, _ in made.files] == [".json", ".mat"]
+
+
+def complete(out) -> None:
+    """A study with everything that a page may have."""
+    found, time = Study(), np.linspace(0, 10, 50)
+    study.carry_out(found, lambda: None)
+    first = figures.histories({"one": (time, np.sin(time)[:, None]), "two": (time, np.cos(time)[:, None])}, ["error"])
+    conclude(
+        found,
+        out,
+        [Statement("It flies", "section 1", lambda: [Reading("", 0.5)], Rule("error", "<", 1, "deg"))],
+        requirements=[report.Requirement("APE", 0.13, 0.65, "deg")],
+        findings=["Nobody says so."],
+        paper="009 Nobody (2026)",
+        counterparts=[
+            drawn("figure 1", "error", "At a glance"),
+            left_out("figure 2", "a photograph", "nothing to fly"),
+        ],
+        summary="Take one: it is the best.",
+        abbreviations={"APE": "absolute performance error"},
+        first=(first, "The errors."),
+    )
+
+
+def test_a_page_says_first_what_a_reader_needs(tmp_path, capsys):
+    complete(tmp_path)
+    page, told = (tmp_path / "report.html").read_text(), capsys.readouterr().out
+    order = ["Take one", "requirements met", "The errors.", "Margins</h2>", "Levels</h2>", "It flies", "Nobody says so.",
+             "absolute performance error", "Provenance</h2>"]  # fmt: skip
+    places = [page.index(text) for text in order]
+    assert places == sorted(places)
+    assert "Take one: it is the best." in told
+    assert "1 of 1" in page  # claims that hold: what is drawn or left out is none
+    assert (tmp_path / "figures" / "at-a-glance-1.csv").read_text().startswith('"time, s","error: one"')
+    stored = json.loads((tmp_path / "claims.json").read_text())
+    assert [c["verdict"] for c in stored["claims"]] == ["holds", "drawn", "left out"]
+    assert stored["paper"] == "009 Nobody (2026)"
+
+
+@pytest.mark.slow
+@needs_chromium
+def test_the_first_figure_is_on_the_first_screen_and_can_be_enlarged(tmp_path):
+    from playwright.sync_api import sync_playwright
+
+    complete(tmp_path)
+    check(tmp_path / "report.html", figures=1)
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
+        for width, height in SCREENS.values():
+            page = browser.new_page(viewport={"width": width, "height": height})
+            page.goto((tmp_path / "report.html").as_uri())
+            picture = page.locator("figure svg").first
+            before = picture.bounding_box()
+            assert before is not None
+            assert before["y"] < height
+            assert before["x"] + before["width"] <= width  # nothing of it is off the screen
+            page.get_by_label("enlarge").first.check()
+            after = picture.bounding_box()
+            assert after is not None
+            assert after["width"] > 1.9 * min(before["width"], width)
+            assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+            page.close()
+        browser.close()
