@@ -13,7 +13,7 @@
                    a `Run` comes out; `Store` reads what a campaign has stored, `sweep` goes through designs
     outcome        `indices`, `budget`, `nees`, `settling_time`, `run_plot`, `attitude_plot`, `attitude_sphere`,
                    `campaign_plot`; `run_table`; `report` and `study` make pages
-    craft          `spacecraft` from data sheets, `compare_flights` of its controllers
+    craft          `spacecraft` from data sheets, `read_spacecraft` from a TOML file, `compare_flights` of controllers
     missions       `cubesat3u`, `amazonia1`, `airbearing`, `geo`: the numbers of the studies
 
 The names below are imported when they are first used, so that ``import plants`` costs nothing.
@@ -51,6 +51,7 @@ _HOME = {  # of a name; modules are their own home
     "CrossProductDumping": "guidance.magnetic",
     "DEG_PER_H": "hardware.instruments",
     "DEG_PER_SQRT_H": "hardware.instruments",
+    "DataSheet": "craft.datasheets",
     "Detumbling": "guidance.laws",
     "Dispersion": "craft.comparison",
     "Disturbance": "surroundings.disturbances",
@@ -225,6 +226,7 @@ _HOME = {  # of a name; modules are their own home
     "pointing_errors": "outcome.indices",
     "pooled_level": "outcome.indices",
     "propagate": "surroundings.orbit",
+    "read_spacecraft": "craft.datasheets",
     "replay": "simulation.campaign",
     "replay_case": "simulation.campaign",
     "report": "outcome.report",

@@ -3,6 +3,8 @@
 from plants.craft.comparison import Comparison as Comparison
 from plants.craft.comparison import Dispersion as Dispersion
 from plants.craft.comparison import compare_flights as compare_flights
+from plants.craft.datasheets import DataSheet as DataSheet
+from plants.craft.datasheets import read_spacecraft as read_spacecraft
 from plants.craft.spacecraft import Spacecraft as Spacecraft
 from plants.craft.spacecraft import spacecraft as spacecraft
 from plants.dynamics.cmgs import Cmgs as Cmgs

@@ -87,6 +87,7 @@ def compare_flights(
     spread: Dispersion = Dispersion(),  # noqa: B008 (immutable)
     after: float | None = None,
     dumping: Dumping | None = None,
+    environment: Any = None,
     out: Path | str | None = None,
     **options: Any,
 ) -> Comparison:
@@ -102,6 +103,7 @@ def compare_flights(
     spread : how far the flights differ
     after : () s, from when errors count; the second half of the flight by default
     dumping : as in `Spacecraft.loop`
+    environment : surroundings for `duration`; those of the orbit by default
     out : folder for report.html; no report without it
     options : further ones of `campaign`, such as `store`, `workers`
 
@@ -118,8 +120,8 @@ def compare_flights(
         raise ScenarioError(f"after = {start:g} s: nothing is left of the flight, which ends at {span:g} s")
     folder = None if out is None else usable(Path(out))
     dispersed = draw(partial(_drawn, spread=spread), runs, seed)
-    environment = craft.environment(span)
-    shared = {name: Shared(craft, K, dumping, environment, span) for name, K in controllers.items()}
+    around = craft.environment(span) if environment is None else environment
+    shared = {name: Shared(craft, K, dumping, around, span) for name, K in controllers.items()}
     flown: dict[str, Campaign] = {}
     begun = perf_counter()
     study.campaigns(
