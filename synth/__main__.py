@@ -1,4 +1,4 @@
-"""The `synth` command: look into files, accept, prove, export, compare and design. `synth --help` says more.
+"""The `synth` command: look into files, accept, prove, export, compare, design and fly. `synth --help` says more.
 
 Only `argparse` is imported here: help is instant. What a command does is in `synth.command.commands`.
 """
@@ -60,7 +60,7 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
 def make_parser() -> argparse.ArgumentParser:
     """All commands and their options."""
     parser = Parser(
-        prog="synth", description="Verified controllers: design, look, accept, export, compare, sign.",
+        prog="synth", description="Verified controllers: design, look, accept, export, compare, fly, sign.",
         epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("--version", action=Version, nargs=0, help="print the version and exit")
@@ -137,6 +137,20 @@ def make_parser() -> argparse.ArgumentParser:
     design.add_argument("files", nargs=1, metavar="STUDY.toml")
     design.add_argument("-o", "--output", metavar="FILE", help="design file, .json or .mat; default STUDY.json")
     design.add_argument("--force", action="store_true", help="replace a file that exists")
+
+    init = command("init", "write templates of a spacecraft (spacecraft.toml) and of a design for it (design.toml)")
+    init.add_argument("folder", nargs="?", default=".", metavar="FOLDER", help="made if it is missing (default .)")
+    init.add_argument("--force", action="store_true", help="replace files that exist")
+
+    fly = command("fly", "fly controllers on a spacecraft, dispersed, and report")
+    fly.add_argument("spacecraft", metavar="SPACECRAFT.toml", help="as synth init writes it")
+    fly.add_argument("files", nargs="+", metavar="CONTROLLER", help="design, controller or mpc (.json, .mat)")
+    fly.add_argument("--report", metavar="DIR", help="folder for report.html, made if it is missing")
+    fly.add_argument("--runs", type=int, metavar="N", help="flights of each controller (default 30)")
+    fly.add_argument("--seed", type=int, default=0, help="of the dispersions and of the noise (default 0)")
+    fly.add_argument("--duration", type=float, metavar="S", help="of a flight, instead of that in the file")
+    fly.add_argument("--fast", action="store_true", help="four flights of each: a quick look")
+    fly.add_argument("--positive", action="store_true", help="controllers without a sign act on y, not on r - y")
     return parser
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -16,6 +17,7 @@ from plants.errors import ScenarioError
 from plants.files import usable
 from plants.guidance.laws import Dumping
 from plants.outcome import figures, report, study
+from plants.outcome.attitudeplots import wheel_speed_plot
 from plants.simulation.campaign import Campaign, draw
 from plants.simulation.loop import Loop, Run, Scenario
 from plants.surroundings.disturbances import ConstantTorque
@@ -23,6 +25,10 @@ from plants.surroundings.disturbances import ConstantTorque
 DEG = np.pi / 180
 SHARE = 0.95  # () of the time, and of the runs
 KEPT = 12  # flights of each controller that are drawn
+RPM = 30 / np.pi  # of 1 rad/s
+HEADERS = (
+    "controller", "error, deg", "knowledge, deg", "settled, s", "torque, mN m", "fastest wheel, rpm", "failed",
+)  # fmt: skip
 
 
 class Dispersion(NamedTuple):
@@ -74,6 +80,30 @@ class Comparison:
     def __str__(self) -> str:
         """For the terminal."""
         return "\n".join(map(str, self.requirements))
+
+    def levels(self) -> dict[str, dict[str, float]]:
+        """What 95 % of the runs of each controller keep: the fields of `Measured`, in SI."""
+        return {
+            name: {
+                key: float(np.quantile(values, SHARE, method="higher"))
+                for key, values in flown.results._asdict().items()
+            }
+            for name, flown in self.campaigns.items()
+        }
+
+    def rows(self) -> dict[str, list[str]]:
+        """The same in words, with the number of failed runs, below `HEADERS`."""
+        return {
+            name: [
+                f"{kept['pointing'] / DEG:.4g}",
+                f"{kept['knowledge'] / DEG:.4g}",
+                f"{kept['settled']:.0f}",
+                f"{1e3 * kept['torque']:.4g}",
+                f"{kept['speed'] * RPM:.0f}",
+                f"{int((~self.campaigns[name].ok).sum())} of {len(self.campaigns[name].ok)}",
+            ]
+            for name, kept in self.levels().items()
+        }
 
 
 def compare_flights(
@@ -191,39 +221,34 @@ def _level(flown: Campaign) -> float:
 
 def _write(page: Path, craft: Spacecraft, found: Comparison, pointing: float, told: str, seconds: float) -> None:
     """The report."""
-    names = list(found.campaigns)
-    rows = [[name, *_row(found.campaigns[name])] for name in names]
-    headers = (
-        "controller",
-        "error, deg",
-        "knowledge, deg",
-        "settled, s",
-        "torque, mN m",
-        "fastest wheel, rpm",
-        "failed",
-    )
     sections = [
         report.Section("Requirements", report.requirements_table(found.requirements)),
         report.Section(
             "Controllers",
-            report.table(headers, rows)
+            report.table(HEADERS, [[name, *row] for name, row in found.rows().items()])
             + report.paragraph(
                 f"Levels that {SHARE:.0%} of the runs keep; errors are kept for {SHARE:.0%} of the time."
             ),
+        ),
+        report.Section(
+            "Budget",
+            report.requirements_table(_budget(craft, found, pointing))
+            + report.paragraph(f"What {SHARE:.0%} of the runs take of what there is."),
         ),
         study.drawings(
             "Pointing error", [(_errors(found, pointing), "Every line is a flight; dashed: the requirement.")]
         ),
         study.drawings(
-            "First flight", [(_first(found), "Error, commanded torques and wheel speeds of the first flight.")]
+            "First flight", [(_first(found), "Error, commanded torques and fastest wheel of the first flight.")]
         ),
+        *_wheels(craft, found),
         report.Section("Spacecraft", report.table(("what", "value"), _sheet(craft))),
     ]
     made = study.Study(complete=True, seconds=seconds)
     met = sum(r.met for r in found.requirements)
     text = report.page(
         craft.name,
-        f"Pointing within {pointing / DEG:.4g} deg: {len(names)} controllers, dispersed flights",
+        f"Pointing within {pointing / DEG:.4g} deg: {_counted(len(found.campaigns))}, dispersed flights",
         sections,
         study.provenance(told, made),
         highlights=[(f"{met} of {len(found.requirements)}", "requirements met")],
@@ -231,19 +256,22 @@ def _write(page: Path, craft: Spacecraft, found: Comparison, pointing: float, to
     study.written(page, text, sections)
 
 
-def _row(flown: Campaign) -> list[str]:
-    """Levels of one campaign in words."""
-    kept = {
-        name: float(np.quantile(values, SHARE, method="higher")) for name, values in flown.results._asdict().items()
-    }
-    return [
-        f"{kept['pointing'] / DEG:.4g}",
-        f"{kept['knowledge'] / DEG:.4g}",
-        f"{kept['settled']:.0f}",
-        f"{1e3 * kept['torque']:.4g}",
-        f"{kept['speed'] * 30 / np.pi:.0f}",
-        f"{int((~flown.ok).sum())} of {len(flown.ok)}",
-    ]
+def _budget(craft: Spacecraft, found: Comparison, pointing: float) -> list[report.Requirement]:
+    """Errors, torques and momenta of each controller against what is allowed, can be given, can be stored."""
+    rows, wheels = [], craft.actuator.wheels
+    for name, kept in found.levels().items():
+        estimate = report.Requirement(f"{name}: error of the estimate", kept["knowledge"] / DEG, pointing / DEG, "deg")
+        rows.append(estimate)
+        if wheels is not None:
+            limits = np.asarray(wheels.max_speed) * RPM
+            rows.append(
+                report.Requirement(
+                    f"{name}: torque, root mean square", 1e3 * kept["torque"], 1e3 * craft.torque, "mN m"
+                )
+            )
+            if np.ptp(limits) == 0:  # else the fastest wheel need not be the fullest
+                rows.append(report.Requirement(f"{name}: fastest wheel", kept["speed"] * RPM, limits[0], "rpm"))
+    return rows
 
 
 def _errors(found: Comparison, pointing: float) -> Any:
@@ -257,6 +285,26 @@ def _errors(found: Comparison, pointing: float) -> Any:
     return fig
 
 
+def _utc(epoch: datetime) -> datetime:
+    """The moment in UTC; one without a time zone is in UTC."""
+    return epoch.replace(tzinfo=UTC) if epoch.tzinfo is None else epoch.astimezone(UTC)
+
+
+def _counted(number: int) -> str:
+    return f"{number} controller{'s' if number > 1 else ''}"
+
+
+def _wheels(craft: Spacecraft, found: Comparison) -> list[report.Section]:
+    """Section: the speeds of all wheels in the first flight of each controller."""
+    first = {name: c.kept[0] for name, c in found.campaigns.items() if 0 in c.kept}
+    if craft.actuator.wheels is None or not first:
+        return []
+    limits = np.asarray(craft.actuator.wheels.max_speed)
+    limit = float(limits[0]) if np.ptp(limits) == 0 else None
+    drawn = [(wheel_speed_plot(run, limit=limit).figure, f"{name}, first flight") for name, run in first.items()]
+    return [study.drawings("Wheel speeds", drawn)]
+
+
 def _first(found: Comparison) -> Any:
     """Figure: the first flight of each controller."""
     first = {name: c.kept[0] for name, c in found.campaigns.items() if 0 in c.kept}
@@ -267,7 +315,7 @@ def _first(found: Comparison) -> Any:
                 [
                     _angle(run.outputs) / DEG,
                     1e3 * np.linalg.norm(run.commands[:, :3], axis=1),
-                    np.abs(run.states.wheels).max(axis=1, initial=0.0) * 30 / np.pi,
+                    np.abs(run.states.wheels).max(axis=1, initial=0.0) * RPM,
                 ]
             ),
         )
@@ -279,7 +327,7 @@ def _first(found: Comparison) -> Any:
 def _sheet(craft: Spacecraft) -> Sequence[Sequence[str]]:
     """The spacecraft in words."""
     wheels, instruments = craft.actuator.wheels, () if craft.sensors is None else craft.sensors.instruments
-    rows = [("inertia, kg m^2", np.array2string(craft.inertia, precision=5))]
+    rows = [("inertia, kg m^2", "; ".join(" ".join(f"{J:.4g}" for J in row) for row in craft.inertia))]
     if wheels is not None:
         speed = np.asarray(wheels.max_speed)
         rows += [
@@ -290,6 +338,6 @@ def _sheet(craft: Spacecraft) -> Sequence[Sequence[str]]:
     rows += [
         ("sensors", ", ".join(type(i).__name__ for i in instruments) or "none: the true state"),
         ("control period", f"{craft.dt:g} s, {craft.samples} samples"),
-        ("epoch", f"{craft.epoch:%Y-%m-%d %H:%M} UTC"),
+        ("epoch", f"{_utc(craft.epoch):%Y-%m-%d %H:%M} UTC"),
     ]
     return rows

@@ -92,9 +92,9 @@ def read_toml(file: Path) -> dict[str, Any]:
     except RecursionError as error:
         raise ScenarioError(f"{file}: this is no TOML: it is nested too deep") from error
     except ValueError as error:
-        raise (
-            error if isinstance(error, ScenarioError) else ScenarioError(f"{file}: this is no TOML: {error}")
-        ) from error
+        if isinstance(error, ScenarioError):
+            raise
+        raise ScenarioError(f"{file}: this is no TOML: {error}") from error
 
 
 class Tables:

@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command that was asked for; returns its exit code."""
     commands = {
         "info": info, "verify": verify, "certify": certify, "export": export, "compare": compare, "design": design,
-        "sign": sign, "keygen": keygen,
+        "sign": sign, "keygen": keygen, "init": init, "fly": fly,
     }  # fmt: skip
     try:
         return commands[options.command](options)
@@ -139,6 +139,22 @@ def keygen(options: argparse.Namespace) -> int:
     from synth.command.signing import make_keys
 
     return told(options, *make_keys(options))
+
+
+def init(options: argparse.Namespace) -> int:
+    """`synth init`."""
+    from synth.command.flying import init
+
+    return told(options, *init(options))
+
+
+def fly(options: argparse.Namespace) -> int:
+    """`synth fly`."""
+    from synth.command.flying import fly
+
+    data, text = fly(options)
+    told(options, data, text)
+    return DONE if data["met"] else MISSED
 
 
 def told(options: argparse.Namespace, data: Any, text: str) -> int:

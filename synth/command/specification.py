@@ -2,12 +2,14 @@
 
     [plant]           matrices A, B, C, D (or A, B1, ..., D22), or num and den, or zeros, poles and gain; and dt; or
                       file = "plant.json" (or .mat) beside it. sample = 0.5 discretises a continuous plant, hold = "zoh"
-                      (default) or "tustin"; delay = 1.0 in s, of the inputs, in whole samples; u, y, units
-    [synthesis]       problem = "tracking", "generalized", "loopshaping" or "mixedsensitivity"; method, gamma, tol;
-                      for mixed sensitivity also shift; for loop shaping no tol, but gamma_factor, and
+                      (default) or "tustin"; delay = 1.0 in s, of the inputs, in whole samples; u, y, units; or
+                      spacecraft = "spacecraft.toml", whose linear plant has its control period
+    [synthesis]       problem = "tracking", "fourblock", "generalized", "loopshaping" or "mixedsensitivity"; method,
+                      gamma, tol; for mixed sensitivity also shift; for loop shaping no tol, but gamma_factor, and
                       feedback = "negative" for a controller that acts on r - y
-    [weights]         tracking: Wproc, Wdist, Werr, Wact, Wr; loop shaping: W1, W2, mixed sensitivity: W1, W2, W3
-                      (matrices or tables A, B, C, D; num, den; zeros, poles, gain)
+    [weights]         tracking: Wproc, Wdist, Werr, Wact, Wr; fourblock: Wdist, Wnoise, Wout, Wact, each by default
+                      what the requirements of the spacecraft ask for, if the plant is that of one; loop shaping: W1,
+                      W2, mixed sensitivity: W1, W2, W3 (matrices or tables A, B, C, D; num, den; zeros, poles, gain)
     [specifications]  max_norm; the fields of `Requirements` (a margin of 0 asks nothing); umin, umax, overload;
                       antiwindup = true for the conditioned controller of a loop-shaping design; dt at which a
                       continuous design is to run
@@ -31,26 +33,26 @@ import numpy as np
 from synth.analysis.coprime import gang_of_four
 from synth.checks import as_path
 from synth.command import studyschemas
+from synth.command.studyplants import fraction, plant_kind, read_plant
 from synth.command.tables import Table
-from synth.delivery.acceptance import Acceptance, Requirements, accept, sampled
-from synth.delivery.modelfiles import FRACTIONS, NINE, Model, read
-from synth.errors import ModelError, SpecificationError, SynthError
-from synth.files import DEEPEST, is_device, parsed
-from synth.mistakes import Record
+from synth.delivery.acceptance import Acceptance, Requirements, accept
+from synth.errors import ModelError, SpecificationError
+from synth.files import DEEPEST, parsed
 from synth.regulators.antiwindup import AntiWindup
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import hinfsyn
 from synth.synthesis.loopshaping import ncfsyn
 from synth.synthesis.mixedsensitivity import augw, mixsyn
-from synth.systems.connect import input_delay
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.sampled import c2d
 from synth.systems.statespace import StateSpace, as_system
 
 LARGEST = 8 * 2**20  # bytes of a study; plants of order 200 and more belong into a file of their own
 SYSTEM = {*"ABCD", "num", "den", "zeros", "poles", "gain"}  # keys of a weight that is a system
-PROBLEMS = ("tracking", "generalized", "loopshaping", "mixedsensitivity")
-TRACKING = {"Wproc": "u", "Wdist": "y", "Werr": "y", "Wact": "u", "Wr": "y"}  # weight -> signals of the plant
+PROBLEMS = ("tracking", "generalized", "loopshaping", "mixedsensitivity", "fourblock")
+BLOCKS = {  # weight -> signals of the plant
+    "tracking": {"Wproc": "u", "Wdist": "y", "Werr": "y", "Wact": "u", "Wr": "y"},
+    "fourblock": {"Wdist": "u", "Wnoise": "y", "Wout": "y", "Wact": "u"},
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,8 +124,8 @@ def _toml(text: str) -> dict[str, Any]:
 def _study(root: Table, folder: Path) -> Study | None:
     """The whole file; None if something in it is wrong."""
     plant_data, synthesis_data, weights_data = (root.get(key, {}) for key in ("plant", "synthesis", "weights"))
-    described = Table(plant_data, "plant", root.problems, _plant_kind(plant_data) if root.given("plant") else None)
-    plant, about = _plant(described, folder)
+    described = Table(plant_data, "plant", root.problems, plant_kind(plant_data) if root.given("plant") else None)
+    plant, about = read_plant(described, folder)
     problem = synthesis_data.get("problem")
     problem = problem if isinstance(problem, str) and problem in PROBLEMS else None
     kind = studyschemas.SYNTHESIS.get(problem or "", studyschemas.AnySynthesis)
@@ -146,123 +148,6 @@ def _study(root: Table, folder: Path) -> Study | None:
     return Study(problem, target, options, requirements, gate, max_norm, signals)
 
 
-def _plant(table: Table, folder: Path) -> tuple[GeneralizedPlant | StateSpace | None, dict[str, Any]]:
-    """The plant, sampled if that is asked for, and the names and units of its signals."""
-    about: dict[str, Any] = {key: tuple(table.get(key, ())) for key in ("u", "y")}
-    about["units"] = dict(table.get("units", {}))
-    sample, hold = table.get("sample"), table.get("hold", "zoh")
-    before = len(table.problems)
-    try:
-        plant = _from_file(table, folder, about) if "file" in table.data else _from_matrices(table)
-        if sample is not None and plant is not None:
-            plant = _sampled(plant, sample, hold)
-        if "delay" in table.data and plant is not None:
-            if isinstance(plant, GeneralizedPlant):
-                raise ModelError(
-                    "delay is for a plant with inputs u alone; put it into A, B1, ... of a generalised one"
-                )
-            plant = input_delay(plant, table.data["delay"])
-    except SynthError as error:
-        if len(table.problems) == before:
-            table.problems.append(f"{table.path}: {error}")
-        plant = None
-    if isinstance(plant, StateSpace):
-        for key, size in (("u", plant.nu), ("y", plant.ny)):
-            if about[key] and len({*about[key]}) != size:
-                table.wrong(key, f"expected {size} different names, found {len({*about[key]})}")
-                about[key] = ()
-    return plant, about
-
-
-def _plant_kind(data: dict[str, Any]) -> type[Record]:
-    """What a table of a plant holds, by the keys that it has."""
-    if "file" in data:
-        return studyschemas.FilePlant
-    if any(key in data for keys in FRACTIONS for key in keys):
-        return studyschemas.FractionPlant
-    nine = any(name in data for name in NINE[1:])
-    return studyschemas.GeneralizedPlant if nine else studyschemas.MatrixPlant
-
-
-def _sampled(plant: GeneralizedPlant | StateSpace, dt: float, hold: str) -> GeneralizedPlant | StateSpace:
-    """The discrete plant."""
-    if isinstance(plant, StateSpace):
-        return c2d(plant, dt, hold)
-    if hold != "zoh":
-        raise ModelError("hold is 'tustin'; a generalised plant is sampled with 'zoh'")
-    return sampled(plant, dt)
-
-
-def _from_file(table: Table, folder: Path, about: dict[str, Any]) -> GeneralizedPlant | StateSpace | None:
-    """The plant in a file beside the study."""
-    name = table.get("file")
-    if name is None:
-        return None
-    if trouble := _stray(name):
-        table.wrong("file", f"{name}: {trouble}")
-        return None
-    try:
-        found = read(folder / name)
-    except SynthError as error:
-        table.wrong("file", f"{name}: {error}")
-        return None
-    if isinstance(found, Design):
-        found = found.plant
-    if isinstance(found, Model):
-        for key in ("u", "y", "units"):
-            about[key] = about[key] or getattr(found, key)
-        return found.system
-    return found
-
-
-def _stray(name: str) -> str:
-    """What is wrong with where a file is said to be; empty if nothing is."""
-    path = Path(name)
-    if any(is_device(part) for part in path.parts):
-        return "Windows takes this name for a device; give the file another"
-    if not path.is_absolute() and (path.drive or os.path.normpath(name).startswith(os.pardir)):
-        return "it is outside the folder of the study; put the file beside the study, or write its whole path"
-    return ""
-
-
-def _from_matrices(table: Table) -> GeneralizedPlant | StateSpace | None:
-    """The plant from its matrices; shapes follow A and D, or A, D11 and D22."""
-    dt = table.get("dt")
-    if given := _fraction(table):
-        return None if dt is None else as_system(table.path, given | {"dt": dt})
-    nine = any(name in table.data for name in NINE[1:])
-    names = NINE if nine else tuple("ABCD")
-    rows: dict[str, Any] = {}
-    n = len(table.data["A"]) if isinstance(table.data.get("A"), list) else None
-    for name in ("A", *(("D11", "D22") if nine else ())):
-        rows[name] = table.matrix(name, (n, n) if name == "A" else (None, None))
-    rest = [name for name in names if name not in rows]
-    for name in rest:
-        rows[name] = table.matrix(name, _expected(name, rows, n))
-    if dt is None or any(M is None for M in rows.values()):
-        return None
-    return GeneralizedPlant(**rows, dt=dt) if nine else StateSpace(**rows, dt=dt)
-
-
-def _fraction(table: Table) -> dict[str, Any]:
-    """Polynomials, or zeros, poles and gain, if the table has them."""
-    return table.given(*(key for keys in FRACTIONS for key in keys))
-
-
-def _expected(name: str, rows: dict[str, Any], n: int | None) -> tuple[int | None, int | None]:
-    """The shape of a matrix of the plant, as far as others have told it."""
-
-    def size(key: str, axis: int) -> int | None:
-        return None if rows.get(key) is None else rows[key].shape[axis]
-
-    shapes = {
-        "B": (n, None), "C": (None, n), "D": (size("C", 0), size("B", 1)),
-        "B1": (n, size("D11", 1)), "B2": (n, size("D22", 1)), "C1": (size("D11", 0), n), "C2": (size("D22", 0), n),
-        "D12": (size("D11", 0), size("D22", 1)), "D21": (size("D22", 0), size("D11", 1)),
-    }  # fmt: skip
-    return shapes[name]
-
-
 def _options(table: Table) -> dict[str, Any]:
     """Options of the synthesis function; those left out keep its defaults."""
     found = table.given("method", "gamma", "gamma_factor", "tol", "shift")
@@ -281,7 +166,7 @@ def _weighed(
         plant = None
     if problem == "generalized":
         try:
-            return plant and replace(plant, **{key: value for key, value in about.items() if value})
+            return plant and replace(plant, **{key: about[key] for key in ("u", "y", "units") if about[key]})
         except ModelError as error:
             weights.problems.append(f"plant: {error}")
             return None
@@ -303,14 +188,26 @@ def _weighed(
             weights.problems.append(f"weights: {error}")
             return None
         return plant
-    size = {"u": m, "y": q}
+    size, usual = {"u": m, "y": q}, {}
+    if problem == "fourblock" and "craft" in about and not BLOCKS[problem].keys() <= weights.data.keys():
+        try:
+            usual = about["craft"].weights()
+        except ModelError as error:
+            weights.problems.append(f"weights: those of the requirements cannot be had: {error}")
+            return None
     found: dict[str, Any] = {
-        key: _shaping_weight(weights, key, size[signals], plant) for key, signals in TRACKING.items()
+        key: usual[key]
+        if key in usual and key not in weights.data
+        else _shaping_weight(weights, key, size[signals], plant)
+        for key, signals in BLOCKS[problem].items()
     }
     if plant is None or any(W is None for W in found.values()):
         return None
+    named = {key: about[key] for key in ("u", "y", "units") if about[key]}
     try:
-        return GeneralizedPlant.tracking(plant, **found, **about)
+        if problem == "fourblock":
+            return GeneralizedPlant.four_block(replace(plant, **named), **found)
+        return GeneralizedPlant.tracking(plant, **found, **named)
     except ModelError as error:
         weights.problems.append(f"plant: {error}")
         return None
@@ -330,7 +227,7 @@ def _shaping_weight(weights: Table, key: str, size: int | None, plant: StateSpac
     if not isinstance(given, dict) or not SYSTEM & given.keys():
         return weights.matrix(key, (size, size))
     table = Table(given, weights.at(key), weights.problems)
-    if given := _fraction(table):
+    if given := fraction(table):
         try:
             return None if plant is None else as_system(key, given | {"dt": plant.dt})
         except ModelError as error:

@@ -96,6 +96,13 @@ class FilePlant(_Plant):
     file: str
 
 
+class SpacecraftPlant(Record):
+    """The linear plant of a spacecraft, at its control period."""
+
+    spacecraft: str
+    delay: Any = None
+
+
 class _TimedPlant(_Plant):
     dt: NotNegative = Field(description="0 for continuous time, or the sampling time in s")
 
@@ -122,11 +129,11 @@ class GeneralizedPlant(_TimedPlant):
     D22: Grid | None = None
 
 
-Problem = Literal["tracking", "generalized", "loopshaping", "mixedsensitivity"]
+Problem = Literal["tracking", "generalized", "loopshaping", "mixedsensitivity", "fourblock"]
 
 
 class _Synthesis(Record):
-    problem: Problem = Field(description="one of tracking, generalized, loopshaping, mixedsensitivity")
+    problem: Problem = Field(description="one of tracking, generalized, loopshaping, mixedsensitivity, fourblock")
     gamma: Positive | None = None
 
 
@@ -167,6 +174,15 @@ class TrackingWeights(Record):
     Wr: Weight | None = None
 
 
+class FourBlockWeights(Record):
+    """Of the four-block problem."""
+
+    Wdist: Weight | None = None
+    Wnoise: Weight | None = None
+    Wout: Weight | None = None
+    Wact: Weight | None = None
+
+
 class NoWeights(Record):
     """Of a generalised plant, which has its weights inside."""
 
@@ -204,9 +220,10 @@ class Specifications(Record):
 
 SYNTHESIS: dict[str, type[Record]] = {
     "tracking": Synthesis, "generalized": Synthesis, "loopshaping": ShapingSynthesis,
-    "mixedsensitivity": MixedSynthesis,
+    "mixedsensitivity": MixedSynthesis, "fourblock": Synthesis,
 }  # fmt: skip
 WEIGHTS: dict[str, type[Record]] = {
-    "tracking": TrackingWeights, "generalized": NoWeights, "loopshaping": ShapingWeights,
+    "tracking": TrackingWeights, "fourblock": FourBlockWeights, "generalized": NoWeights,
+    "loopshaping": ShapingWeights,
     "mixedsensitivity": MixedWeights,
 }  # fmt: skip

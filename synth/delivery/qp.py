@@ -12,6 +12,7 @@ from __future__ import annotations
 import io
 import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -84,6 +85,19 @@ def from_dict(data: Any) -> dict[str, Any]:
     if model.digest() != data["model_sha256"]:
         raise ModelError("model_sha256 does not belong to the model in the file: one of them was changed")
     return found | arrays
+
+
+def restored(found: Mapping[str, Any]) -> Mpc:
+    """The controller of what `load_mpc` found: posed anew from its model and its settings, which say all of it.
+
+    Raises
+    ------
+    ModelError : the settings are none of `mpc`.
+    """
+    from synth.predictive.horizon import mpc
+
+    settings = {key: int(v) if key in ("Np", "Nc", "delay") else v for key, v in found["settings"].items()}
+    return mpc(StateSpace(**found["model"], dt=found["dt"]), form=found["form"], **settings)
 
 
 def _arrays(value: Any, key: str = "") -> Any:
