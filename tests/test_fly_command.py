@@ -234,6 +234,7 @@ def test_an_unstable_loop_is_told_and_flown(command):
         (["continuous.json"], "continuous.json: it is continuous, and spacecraft.toml has the control period dt = 1 s"),
         (["timeless.json"], "sampled at a time that it does not say"),
         (["narrow.json"], "narrow.json: it has 3 inputs and 3 outputs; that of spacecraft.toml takes the error of q x"),
+        (["design.toml"], "design.toml: this is no controller; `synth design` makes one of a study"),
         (["plant.json"], "plant.json: this is a plant; pass a design or a controller"),
         (["broken.json"], "broken.json: it is no JSON"),
         (["none.json"], "none.json: there is no such file"),
@@ -260,6 +261,12 @@ def test_what_does_not_fit_is_told(command, arguments, message):
     assert code == 2
     assert out == ""
     assert message in err, err
+
+
+def test_files_the_wrong_way_round_are_told(command):
+    code, _, err = command("fly", "controller.json", "spacecraft.toml")
+    assert code == 2
+    assert "controller.json: this is no spacecraft; its TOML file comes first" in err
 
 
 def test_a_spacecraft_with_mistakes_is_told(command, tmp_path):

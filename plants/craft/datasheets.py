@@ -81,10 +81,18 @@ class DataSheet:
             What `compare_flights` refuses.
         """
         span = float(positive("duration", self.duration if duration is None else duration))
+        try:
+            around = self.craft.environment(span, **self.surroundings)
+        except ScenarioError as error:
+            if not str(error).startswith("atmosphere"):
+                raise
+            raise ScenarioError(
+                f'{error}. In a file: [atmosphere] with kind = "none", or "layered" and highest = inf'
+            ) from error
         return compare_flights(
             self.craft, controllers, duration=span, pointing=self.wanted["pointing"], spread=self.spread,
             after=self.after if span == self.duration else None, dumping=self.dumping,
-            environment=self.craft.environment(span, **self.surroundings), **options,
+            environment=around, **options,
         )  # fmt: skip
 
 

@@ -38,7 +38,9 @@ from plants.hardware.wheels import Wheel
 from plants.surroundings.atmosphere import Atmosphere, LayeredAtmosphere
 from plants.surroundings.disturbances import ConstantTorque, Drag, ResidualDipole, SolarPressure
 from plants.surroundings.forces import DragForce, EarthShape, MoonGravity, PressureForce, SunGravity
-from plants.surroundings.orbit import Oblateness, circular, keplerian
+from plants.surroundings.orbit import Oblateness, Orbit, circular, keplerian
+
+LOWEST = 50e3  # m, altitude below which nothing flies, so that it was meant in another unit
 
 
 def _body(
@@ -147,8 +149,18 @@ def _steering(max_rate: float, threshold: float = 0.3, damping: float = 0.1) -> 
     return {"max_rate": max_rate, "threshold": threshold, "damping": damping}
 
 
-def _layered(factor: float = 1.0) -> LayeredAtmosphere:
-    return LayeredAtmosphere(factor=float(real("factor", factor, low=0)))
+def _circular(altitude: float, inclination: float, raan: float = 0.0, argument_of_latitude: float = 0.0) -> Orbit:
+    if 0 < altitude < LOWEST:
+        raise ScenarioError(f"altitude must be above {LOWEST:g} m for an orbit: for kilometres write altitude_km")
+    return circular(altitude, inclination, raan, argument_of_latitude)
+
+
+def _layered(factor: float = 1.0, highest: float = LayeredAtmosphere().highest) -> LayeredAtmosphere:
+    known = {
+        "factor": float(real("factor", factor, low=0)),
+        "highest": float(positive("highest", highest, infinite=True)),
+    }
+    return LayeredAtmosphere(**known)
 
 
 def _exponential(density: float, altitude: float, scale_height: float) -> Atmosphere:
@@ -177,7 +189,7 @@ NAVIGATION = Kind(_navigation, {"deviation": ANGLE, "bias_deviation": RATE})
 DUMPING = Kind(CrossProductDumping.create, {"wanted": MOMENTUM})
 ORBITS = {
     "circular": Kind(
-        circular,
+        _circular,
         {"altitude": LENGTH, "inclination": ANGLE, "raan": ANGLE, "argument_of_latitude": ANGLE},
         single=True,
     ),
@@ -230,7 +242,7 @@ DISTURBANCES = {
     "constant torque": Kind(ConstantTorque.create, {"vector": TORQUE}),
 }
 ATMOSPHERES = {
-    "layered": Kind(_layered),
+    "layered": Kind(_layered, {"highest": LENGTH}),
     "exponential": Kind(_exponential, {"altitude": LENGTH, "scale_height": LENGTH}),
     "none": Kind(lambda: None),
 }

@@ -56,6 +56,10 @@ def fly(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
     runs = FEW if options.fast else RUNS if options.runs is None else options.runs
     if runs < 1 or options.seed < 0:
         raise ModelError(f"--runs is {runs}, --seed {options.seed}; at least one flight, and a seed of at least 0")
+    if Path(options.spacecraft).suffix in (".json", ".mat"):
+        raise ModelError(
+            f"{options.spacecraft}: this is no spacecraft; its TOML file comes first, as synth init writes it"
+        )
     craft = door.read(Path(options.spacecraft))
     plant = craft.plant()
     controllers = {}
@@ -89,6 +93,8 @@ def _controller(file: str, positive: bool) -> Fed:
     from synth.command.certificates import begins
     from synth.delivery.qp import FORMAT, load_mpc, restored
 
+    if Path(file).suffix == ".toml":
+        raise ModelError("this is no controller; `synth design` makes one of a study")
     if begins(file) == FORMAT:
         return Fed(restored(load_mpc(file)), None, "")
     item = load(file)

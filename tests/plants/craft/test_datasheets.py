@@ -220,6 +220,7 @@ def test_the_template_is_a_spacecraft():
         ({"orbit": LEAST["orbit"] | {"altitude_deg": 1.7}}, "altitude_deg: there is no such field; did you mean 'alti"),
         ({"orbit": {"kind": "circular", "altitude_km": 500, "inclination": 97.4}}, "for degrees write inclination_deg"),
         ({"orbit": {"kind": "circular", "altitude_km": 500}}, "orbit.inclination: missing; .* or inclination_deg"),
+        ({"orbit": LEAST["orbit"] | {"altitude_km": 0.5}}, "orbit.altitude_km = 0.5: altitude must be above 50000 m"),
         ({"orbit": 3}, r"orbit: give a table, below a line \[orbit\]"),
         ({"wheels": 3}, r"wheels: give a table for each wheel, below a line \[\[wheels\]\]"),
         ({"wheels": [{"axis": [1, 0, 0]}] * 101}, "wheels: 101 tables, where 100 are the most"),
@@ -355,3 +356,12 @@ def test_units_are_of_arguments_that_there_are():
     assert len(every) > 25
     for kind in every:
         assert set(kind.about) <= set(inspect.signature(kind.make).parameters)
+
+
+def test_air_that_is_not_known_is_told_in_the_words_of_the_file(tmp_path):
+    high = LEAST | {"orbit": LEAST["orbit"] | {"altitude_km": 2000}}
+    with pytest.raises(ScenarioError, match=r'\[atmosphere\] with kind = "none"'):
+        read(tmp_path, high).compare({"nothing": None}, runs=1)
+    for air in ({"kind": "none"}, {"kind": "layered", "highest": float("inf")}):
+        sheet = read(tmp_path, high | {"atmosphere": air})
+        sheet.craft.environment(100.0, **sheet.surroundings)
