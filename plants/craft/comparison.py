@@ -8,7 +8,9 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, NamedTuple
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.figure import Figure
 
 from plants.checks import positive, real
 from plants.craft.spacecraft import Spacecraft
@@ -18,6 +20,7 @@ from plants.files import usable
 from plants.guidance.laws import Dumping
 from plants.outcome import figures, report, study
 from plants.outcome.attitudeplots import wheel_speed_plot
+from plants.outcome.inline import STYLE
 from plants.simulation.campaign import Campaign, draw
 from plants.simulation.loop import Loop, Run, Scenario
 from plants.surroundings.disturbances import ConstantTorque
@@ -301,7 +304,12 @@ def _wheels(craft: Spacecraft, found: Comparison) -> list[report.Section]:
         return []
     limits = np.asarray(craft.actuator.wheels.max_speed)
     limit = float(limits[0]) if np.ptp(limits) == 0 else None
-    drawn = [(wheel_speed_plot(run, limit=limit).figure, f"{name}, first flight") for name, run in first.items()]
+    drawn = []
+    for name, run in first.items():
+        with mpl.rc_context(STYLE):
+            fig = Figure(figsize=(figures.WIDTH, 2.6), layout="constrained")
+            wheel_speed_plot(run, fig.subplots(), limit=limit)
+        drawn.append((fig, f"{name}, first flight"))
     return [study.drawings("Wheel speeds", drawn)]
 
 
