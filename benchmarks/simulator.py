@@ -65,7 +65,7 @@ def main() -> None:
         "plant only": None,
         "sensors, SVD": cubesat3u.svd(),
         "sensors, EKF": cubesat3u.ekf(),
-        "sensors, EKF direct": cubesat3u.ekf(direct=True),
+        "sensors, EKF direct": cubesat3u.direct_ekf(),
     }
 
     def case(d: cubesat3u.Dispersion, shared: Any) -> tuple[Loop, Scenario]:

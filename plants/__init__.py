@@ -6,7 +6,7 @@
     dynamics       `RigidBody`, `Satellite` (with all that turns it), `EulerBody`, `Station` (relative motion)
     hardware       `equip` makes plant and actuator of data sheets (`Wheel`, `Magnetorquers`, `AttitudeThrusters`,
                    `CmgSteering`); `StarTracker`, `IntegratingGyro`, ... in a `SensorSuite`
-    estimation     `mekf` over any set of instruments, `ekf`, `svd_navigator`, `kalman`, `station_ekf`
+    estimation     `mekf` over any set of instruments, `ekf`, `direct_ekf`, `svd_navigator`, `kalman`, `station_ekf`
     guidance       commanded frames (`Nadir`, `Pointing`, `Profile`), `Schedule` and `Guided`, `mode` and `sequence`,
                    `Detumbling`, `CrossProductDumping`
     simulation     `Loop` and `Scenario` go into `simulate`, `simulate_many`, `campaign`, `worst_flights`, `linearize`;
@@ -195,12 +195,14 @@ _HOME = {  # of a name; modules are their own home
     "consistency_table": "outcome.consistency",
     "cross_product": "guidance.magnetic",
     "cubesat3u": "missions.cubesat3u",
+    "direct_ekf": "estimation.navigation",
     "draw": "simulation.campaign",
     "drawings": "outcome.study",
     "drawn": "outcome.claims",
     "ecss_indices": "outcome.ecss",
     "either": "outcome.claims",
     "ekf": "estimation.navigation",
+    "ekf_record": "estimation.navigation",
     "elements": "surroundings.orbit",
     "equip": "hardware.effectors",
     "field_rate": "guidance.magnetic",

@@ -39,7 +39,9 @@ from plants.estimation.mekf import mekf_record as mekf_record
 from plants.estimation.navigation import Ekf as Ekf
 from plants.estimation.navigation import Smoothing as Smoothing
 from plants.estimation.navigation import SvdNavigator as SvdNavigator
+from plants.estimation.navigation import direct_ekf as direct_ekf
 from plants.estimation.navigation import ekf as ekf
+from plants.estimation.navigation import ekf_record as ekf_record
 from plants.estimation.navigation import svd_navigator as svd_navigator
 from plants.estimation.tracking import Observability as Observability
 from plants.estimation.tracking import StateSensor as StateSensor

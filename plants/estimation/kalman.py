@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike as Guess
 from plants.checks import Numbers, real
 from plants.dynamics.eulerbody import EulerBody, kinematics
 from plants.errors import ScenarioError
-from plants.estimation.navigation import scalar_updates
+from plants.estimation.updates import scalar_updates
 from plants.hardware.sensors import AngleRate, AngleRateSuite
 
 

@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike as Given
 
 from plants.checks import Numbers, positive, real
 from plants.errors import ScenarioError
-from plants.estimation.navigation import tested_updates
+from plants.estimation.updates import tested_updates
 from plants.estimation.wahba import direction, wahba_pair
 from plants.geometry import attitude
 from plants.hardware.instruments import Pair, SensorSuite, unit

@@ -7,7 +7,7 @@ Frame O is the frame of reference (orbital, see `plants.surroundings.environment
 the estimate [vector part of q_OB with scalar part >= 0; w_OB in body axes (rad/s)], (6,).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import jax
@@ -20,9 +20,12 @@ from numpy.typing import ArrayLike as Numbers
 from plants.checks import real
 from plants.dynamics.rigidbody import BodyState, RigidBody
 from plants.errors import ScenarioError
+from plants.estimation.updates import tested_updates
 from plants.estimation.wahba import wahba_covariance, wahba_pair
 from plants.geometry import attitude
 from plants.hardware.sensors import AttitudeSuite, Measurement, deviation
+
+DEVIATION = (0.3, 0.3, 0.3, 1e-2, 1e-2, 1e-2, 1e-3, 1e-3, 1e-3)  # (9,) of a first guess that is known to be rough
 
 
 class Smoothing(NamedTuple):
@@ -142,11 +145,13 @@ class EkfState(NamedTuple):
     w: Array  # (3,) rad/s, inertial rate of the body
     bias: Array  # (3,) rad/s, of the gyro
     P: Array  # (9, 9) covariance of (vector part of the error quaternion, rate, bias)
+    nis: Array  # () normalised innovation squared of this sample, chi-square with `rows` degrees of freedom
+    rows: Array  # () scalars that have corrected in this sample
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ekf:
-    """Extended Kalman filter for attitude, rate and gyro bias; build it with `ekf`.
+    """Extended Kalman filter for attitude, rate and gyro bias; build it with `ekf` or `direct_ekf`.
 
     The states are those of eq. 8. The quaternion is carried whole and corrected by multiplication, and P is the
     covariance of the vector part of the error quaternion (half angles): near nadir this is eq. 8 to first order,
@@ -166,28 +171,23 @@ class Ekf:
     w: ArrayLike  # (3,) rad/s, first guess
     bias: ArrayLike  # (3,) rad/s, first guess
     deviation: ArrayLike  # (9,) of the first guess, as the diagonal of P^1/2
-    window: int = 5  # samples of the moving average
+    window: int = 1  # samples of the moving average, for `WahbaSolution`
     gyro_random_walk: ArrayLike = 0.0  # () rad/sqrt(s), of the angle
-
-    @property
-    def direct(self) -> bool:
-        """Whether it is corrected by the vectors themselves."""
-        return isinstance(self.vectors, VectorsThemselves)
 
     def init(self) -> EkfState:
         """The first guess."""
         P = jnp.diag(jnp.asarray(self.deviation) ** 2)
         q, w, bias = (jnp.asarray(a) for a in (self.q, self.w, self.bias))
-        return EkfState(_no_measurements(self.window), q, w, bias, P)
+        return EkfState(_no_measurements(self.window), q, w, bias, P, jnp.zeros(()), jnp.zeros(()))
 
     def update(self, s: EkfState, y: Measurement, u: Any, env: Any, h: Any) -> tuple[EkfState, Array]:
         """Predict over the h s during which u acted, then correct by the measurement: new state, estimate (6,)."""
         s = self.predict(s, y.wheels, u, env, h)._replace(smoothing=smooth(s.smoothing, y))
         # the barrier keeps XLA from predicting again in every one of the scalar updates
         P, z, H, R, known = jax.lax.optimization_barrier((s.P, *self.innovation(s, y, env, h)))
-        e, P = scalar_updates(P, z, H, R, known)
+        e, P, nis = tested_updates(P, z, H, R, known)
         q = attitude.normalise(attitude.compose(_error_quaternion(e[:3]), s.q))
-        s = s._replace(q=q, w=s.w + e[3:6], bias=s.bias + e[6:9], P=P)
+        s = s._replace(q=q, w=s.w + e[3:6], bias=s.bias + e[6:9], P=P, nis=nis, rows=jnp.sum(known))
         return s, _estimate(s.q, s.w, env)
 
     def predict(self, s: EkfState, wheels: Array, u: Array, env: Any, h: Any) -> EkfState:
@@ -248,44 +248,6 @@ class Ekf:
         return jnp.asarray(self.body.derivative(x, u, env).w)
 
 
-def scalar_updates(P: Array, z: Array, H: Array, R: Array, known: Array) -> tuple[Array, Array]:
-    """Kalman correction by m independent scalar measurements: `tested_updates` without the test."""
-    e, P, _ = tested_updates(P, z, H, R, known)
-    return e, P
-
-
-def tested_updates(P: Array, z: Array, H: Array, R: Array, known: Array) -> tuple[Array, Array, Array]:
-    """Kalman correction by m independent scalar measurements, one after the other.
-
-    Equal to the batch update with diagonal R. The covariance is updated by P - g p' - p g' + s g g' with p = P h
-    and s = h'p + r, which holds for every gain g: so "no information" is g = 0.
-
-    Parameters
-    ----------
-    P : (n, n) covariance
-    z, R, known : (m,) innovations at the prediction, variances, 1 for a valid row and 0 for none
-    H : (m, n)
-
-    Returns
-    -------
-    e : (n,) correction
-    P : (n, n)
-    nis : () normalised innovation squared z' (H P H' + R)^-1 z of the valid rows
-    """
-    e, nis = jnp.zeros(P.shape[0]), jnp.zeros(())
-    for i in range(H.shape[0]):
-        h = H[i]
-        p = jnp.sum(P * h, axis=1)  # a sum of products compiles to half the time of P @ h
-        s = jnp.sum(h * p) + R[i]
-        g = known[i] * p / s
-        left = z[i] - jnp.sum(h * e)
-        nis = nis + known[i] * left**2 / s
-        e = e + g * left
-        gp = g[:, None] * p[None]
-        P = P - gp - gp.T + s * g[:, None] * g[None]
-    return e, P, nis
-
-
 def svd_navigator(suite: AttitudeSuite, *, window: int = 5) -> SvdNavigator:
     """`SvdNavigator` that weights the vectors by the noise of the given sensors."""
     return SvdNavigator(sun_noise=suite.sun.noise, field_noise=suite.magnetometer.noise, window=_checked_window(window))
@@ -301,24 +263,54 @@ def ekf(
     q: Numbers = (1.0, 0.0, 0.0, 0.0),
     w: Numbers = (0.0, 0.0, 0.0),
     bias: Numbers = (0.0, 0.0, 0.0),
-    deviation: Numbers = (0.3, 0.3, 0.3, 1e-2, 1e-2, 1e-2, 1e-3, 1e-3, 1e-3),
+    deviation: Numbers = DEVIATION,
     window: int = 5,
-    direct: bool = False,
 ) -> Ekf:
-    """Extended Kalman filter for a rigid body with the given sensors; the first guess is zero by default.
+    """Extended Kalman filter for a rigid body that is corrected by the solution of Wahba's problem.
 
     Parameters
     ----------
     body : the model of the spacecraft; leave its disturbances out to have them estimated as unknown torques
     suite : the sensors, of which the filter takes the noise
+    torque_noise, bias_walk, q, w, bias, deviation : as of `direct_ekf`
     attitude_noise : () vector part of a quaternion, 1 sigma per axis of the solution of Wahba's problem; None for the
         covariance that the solution has at each sample, which is right for a window of 1
+    window : samples of the moving average over the vectors; with more than one, consecutive solutions depend on each
+        other, which the filter does not know
+
+    Raises
+    ------
+    ScenarioError
+        As `direct_ekf`.
+    """
+    solution = None if attitude_noise is None else real("attitude_noise", attitude_noise, low=0)
+    vectors = WahbaSolution(sun_noise=suite.sun.noise, field_noise=suite.magnetometer.noise, attitude_noise=solution)
+    direct = direct_ekf(
+        body, suite, torque_noise=torque_noise, bias_walk=bias_walk, q=q, w=w, bias=bias, deviation=deviation
+    )
+    return replace(direct, vectors=vectors, window=_checked_window(window))
+
+
+def direct_ekf(
+    body: RigidBody,
+    suite: AttitudeSuite,
+    *,
+    torque_noise: float,
+    bias_walk: float,
+    q: Numbers = (1.0, 0.0, 0.0, 0.0),
+    w: Numbers = (0.0, 0.0, 0.0),
+    bias: Numbers = (0.0, 0.0, 0.0),
+    deviation: Numbers = DEVIATION,
+) -> Ekf:
+    """Extended Kalman filter for a rigid body that is corrected by the Sun and field vectors themselves.
+
+    Parameters
+    ----------
+    body, suite : as of `ekf`
     torque_noise : () N m sqrt(s), root of the spectral density of unknown torques, per axis
     bias_walk : () rad/s/sqrt(s), of the gyro
-    q, w, bias : (4,), (3,) rad/s, (3,) rad/s, first guess of q_OB, inertial rate and gyro bias
+    q, w, bias : (4,), (3,) rad/s, (3,) rad/s, first guess of q_OB, inertial rate and gyro bias; zero by default
     deviation : (9,) standard deviation of the first guess: vector part of a quaternion, rad/s, rad/s
-    window : samples of the moving average over the vectors; not used by `direct`
-    direct : correct by the Sun and field vectors themselves instead of the solution of Wahba's problem
 
     Raises
     ------
@@ -328,11 +320,9 @@ def ekf(
     first = real("q", q, (4,))
     if abs(np.linalg.norm(first) - 1) > 1e-6:
         raise ScenarioError(f"q must be a unit quaternion, got {first.tolist()} of length {np.linalg.norm(first)}")
-    noises = {"sun_noise": suite.sun.noise, "field_noise": suite.magnetometer.noise}
-    solution = None if attitude_noise is None else real("attitude_noise", attitude_noise, low=0)
     return Ekf(
         body=body,
-        vectors=VectorsThemselves(**noises) if direct else WahbaSolution(**noises, attitude_noise=solution),
+        vectors=VectorsThemselves(sun_noise=suite.sun.noise, field_noise=suite.magnetometer.noise),
         gyro_noise=suite.gyro.noise,
         gyro_random_walk=suite.gyro.random_walk,
         torque_noise=real("torque_noise", torque_noise, low=0),
@@ -341,8 +331,29 @@ def ekf(
         w=real("w", w, (3,)),
         bias=real("bias", bias, (3,)),
         deviation=real("deviation", deviation, (9,), low=0),
-        window=_checked_window(window),
     )
+
+
+class EkfRecord(NamedTuple):
+    """What `ekf_record` keeps of a sample."""
+
+    error: (
+        Array  # (9,) of the states in units of what the filter believes: independent, of variance one; attitude first
+    )
+    nis: Array  # ()
+    rows: Array  # ()
+
+
+def ekf_record(x: BodyState, env: Any, sensors: Array, navigator: EkfState) -> EkfRecord:
+    """For ``simulate(..., record=ekf_record)``: how large the errors of an `Ekf` are beside what it believes of them.
+
+    The error is L^-1 e with L L' = P, so that the squares of the first three sum up to the NEES of the attitude, of all
+    nine to that of the states.
+    """
+    turn = attitude.compose(attitude.compose(x.q, attitude.conjugate(env.q_ON)), attitude.conjugate(navigator.q))
+    e = jnp.concatenate([attitude.positive(turn)[1:], x.w - navigator.w, sensors - navigator.bias])
+    white = jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(navigator.P), e, lower=True)
+    return EkfRecord(white, navigator.nis, navigator.rows)
 
 
 def _checked_window(window: int) -> int:

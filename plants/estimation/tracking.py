@@ -22,7 +22,7 @@ from scipy.linalg import expm
 from plants.checks import positive, real
 from plants.dynamics.relative import EARTH_RATE, Sky, SkyEnv, Station, StationState
 from plants.errors import ScenarioError
-from plants.estimation.navigation import scalar_updates
+from plants.estimation.updates import scalar_updates
 from plants.simulation import blocks
 from plants.simulation.programs import Program
 from plants.simulation.simulate import rk4

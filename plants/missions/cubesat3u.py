@@ -105,6 +105,7 @@ GYRO_BIAS_WALK = 1e-5 * DEG  # () rad/s/sqrt(s), ours
 WINDOW = 5  # ()  samples of the smoothing filter, ours
 EKF_ATTITUDE_NOISE = 0.0025  # ()  vector part of a quaternion, ours
 EKF_TORQUE_NOISE = 3e-7  # () N m sqrt(s), ours
+EKF_NOISE = {"torque_noise": EKF_TORQUE_NOISE, "bias_walk": GYRO_BIAS_WALK}
 
 
 def disturbances() -> tuple[Disturbance, ...]:
@@ -144,17 +145,27 @@ def suite() -> sensors.AttitudeSuite:
     )
 
 
-def ekf(*, direct: bool = False) -> navigation.Ekf:
-    """The extended Kalman filter of eq. 8, started from zeros, for the nominal inertia."""
-    return navigation.ekf(
-        body(disturbed=False),
-        suite(),
-        attitude_noise=EKF_ATTITUDE_NOISE,
-        torque_noise=EKF_TORQUE_NOISE,
-        bias_walk=GYRO_BIAS_WALK,
-        window=WINDOW,
-        direct=direct,
-    )
+def ekf() -> navigation.Ekf:
+    """The extended Kalman filter of the paper, eq. 8 and figure 3, started from zeros, for the nominal inertia.
+
+    A moving average before Wahba's problem, whose solution counts the same whatever the angle between Sun and field.
+    """
+    return navigation.ekf(*_believed(), attitude_noise=EKF_ATTITUDE_NOISE, window=WINDOW, **EKF_NOISE)
+
+
+def consistent_ekf() -> navigation.Ekf:
+    """Ours: `ekf` without the moving average, and with the covariance of the solution of Wahba's problem."""
+    return navigation.ekf(*_believed(), attitude_noise=None, window=1, **EKF_NOISE)
+
+
+def direct_ekf() -> navigation.Ekf:
+    """Ours: corrected by the Sun and field vectors themselves, of which the field remains in eclipse."""
+    return navigation.direct_ekf(*_believed(), **EKF_NOISE)
+
+
+def _believed() -> tuple[RigidBody, sensors.AttitudeSuite]:
+    """What the filters know of the spacecraft and of its sensors."""
+    return body(disturbed=False), suite()
 
 
 def svd() -> navigation.SvdNavigator:

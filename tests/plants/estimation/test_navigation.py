@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from plants.dynamics.rigidbody import BodyState, state_from
 from plants.errors import ScenarioError
-from plants.estimation import navigation, wahba
+from plants.estimation import navigation, updates, wahba
 from plants.geometry import attitude
 from plants.hardware import sensors
 from plants.missions import cubesat3u
@@ -95,10 +95,10 @@ def test_scalar_updates_equal_the_textbook_batch():
     P, H = root @ root.T, rng.normal(size=(6, 9))
     R, z = rng.uniform(0.1, 1, 6), rng.normal(size=6)
     with jax.enable_x64(True):
-        e, updated = navigation.scalar_updates(*map(jnp.asarray, (P, z, H, R, np.ones(6))))
+        e, updated = updates.scalar_updates(*map(jnp.asarray, (P, z, H, R, np.ones(6))))
         known = np.array([1.0, 0, 1, 1, 0, 1])
-        part, _ = navigation.scalar_updates(*map(jnp.asarray, (P, z, H, R, known)))
-        none, same = navigation.scalar_updates(*map(jnp.asarray, (P, z, H, R, np.zeros(6))))
+        part, _ = updates.scalar_updates(*map(jnp.asarray, (P, z, H, R, known)))
+        none, same = updates.scalar_updates(*map(jnp.asarray, (P, z, H, R, np.zeros(6))))
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T + np.diag(R))
     np.testing.assert_allclose(e, K @ z, rtol=1e-10)
     np.testing.assert_allclose(updated, P - K @ H @ P, atol=1e-11 * np.abs(P).max())
@@ -144,10 +144,10 @@ def test_error_dynamics_against_differences_of_the_propagation():
     np.testing.assert_allclose(np.stack(columns, axis=1), transition, rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize("direct", [False, True])
-def test_innovation_jacobian_against_differences(direct):
+@pytest.mark.parametrize("made", [cubesat3u.ekf, cubesat3u.direct_ekf])
+def test_innovation_jacobian_against_differences(made):
     """H is the derivative of what the sensors would give, with respect to the true body's error."""
-    filter_ = cubesat3u.ekf(direct=direct)
+    filter_ = made()
     suite = cubesat3u.suite()
     with jax.enable_x64(True):
         env = orbit_like()
@@ -211,7 +211,8 @@ def errors_and_covariance(x, env, sensors, navigator):
     """Error of the nine states and their covariance."""
     q = attitude.compose(x.q, attitude.conjugate(env.q_ON))
     a = attitude.positive(attitude.compose(q, attitude.conjugate(navigator.q)))[1:]
-    return jnp.concatenate([a, x.w - navigator.w, sensors - navigator.bias]), navigator.P
+    told = navigation.ekf_record(x, env, sensors, navigator)
+    return jnp.concatenate([a, x.w - navigator.w, sensors - navigator.bias]), navigator.P, told
 
 
 def normalised_errors(navigator, runs, periods=120, environment=None, body=None, drawn=True):
@@ -237,7 +238,13 @@ def normalised_errors(navigator, runs, periods=120, environment=None, body=None,
     flown = simulate_many(cases, record=errors_and_covariance)
     assert all(run.ok for run in flown)
     e, P = (np.stack([run.extra[k] for run in flown]) for k in (0, 1))
-    return np.einsum("rti,rti->rt", e, np.linalg.solve(P, e[..., None])[..., 0]), e, P
+    squared = np.einsum("rti,rti->rt", e, np.linalg.solve(P, e[..., None])[..., 0])
+    attitude_alone = np.einsum("rti,rti->rt", e[..., :3], np.linalg.solve(P[..., :3, :3], e[..., :3, None])[..., 0])
+    white = np.stack([run.extra[2].error for run in flown])
+    np.testing.assert_allclose((white**2).sum(axis=-1), squared, rtol=1e-6)
+    np.testing.assert_allclose((white[..., :3] ** 2).sum(axis=-1), attitude_alone, rtol=1e-6)
+    nis, rows = (np.stack([getattr(run.extra[2], name) for run in flown]) for name in ("nis", "rows"))
+    return squared, e, P, nis / np.maximum(rows, 1)
 
 
 SMALL = np.array([0.02] * 3 + [1e-3] * 3 + [5e-4] * 3)  # first errors in the linear range: 2.3 deg
@@ -247,12 +254,13 @@ SMALL = np.array([0.02] * 3 + [1e-3] * 3 + [5e-4] * 3)  # first errors in the li
 def test_direct_filter_is_consistent():
     """With the true noise in the filter, the normalised squared error is chi-square with nine degrees (NEES)."""
     runs = 40
-    direct = replace(cubesat3u.ekf(direct=True), deviation=SMALL, torque_noise=1e-9)
-    nees, e, P = normalised_errors(direct, runs)
+    direct = replace(cubesat3u.direct_ekf(), deviation=SMALL, torque_noise=1e-9)
+    nees, e, P, nis = normalised_errors(direct, runs)
     low, high = chi2.ppf([1e-4, 1 - 1e-4], 9 * runs) / runs
     for time in (0, 5, 50, 200, 599):  # instants far apart, so that five tests at 2e-4 are one at 1e-3
         assert low < nees[:, time].mean() < high, (time, nees[:, time].mean(), low, high)
     assert (P[:, -1].diagonal(axis1=1, axis2=2)[:, :3] < 0.05 * P[:, 0].diagonal(axis1=1, axis2=2)[:, :3]).all()
+    assert_innovations(nis, 9)
     assert np.abs(e[:, -1, 6:]).max() < 4 * np.sqrt(P[:, -1].diagonal(axis1=1, axis2=2)[:, 6:].max())
 
 
@@ -260,31 +268,39 @@ def test_direct_filter_is_consistent():
 def test_fed_filter_is_consistent_with_the_covariance_of_the_solution():
     """Without smoothing and with Wahba's covariance the reference's scheme is as consistent as the direct filter."""
     runs = 40
-    nees, *_ = normalised_errors(with_covariance_of_the_solution(deviation=SMALL), runs)
+    nees, *_, nis = normalised_errors(with_covariance_of_the_solution(deviation=SMALL), runs)
     low, high = chi2.ppf([1e-4, 1 - 1e-4], 9 * runs) / runs
     for time in (0, 5, 50, 200, 599):
         assert low < nees[:, time].mean() < high, (time, nees[:, time].mean(), low, high)
+    assert_innovations(nis, 6)
+
+
+def assert_innovations(nis, rows):
+    """Innovations are white, so that all of them together are one sum of squares."""
+    count = rows * nis.size
+    low, high = chi2.ppf([1e-4, 1 - 1e-4], count) / count
+    assert low < nis.mean() < high, (nis.mean(), low, high)
 
 
 @pytest.mark.slow
-def test_both_filters_converge_from_zero_at_large_angles():
+def test_all_filters_converge_from_zero_at_large_angles():
     """Table 5: the filter starts from zeros, the body 43 deg away and turning; bias is found."""
     surroundings = cubesat3u.environment(300.0)
     suite = cubesat3u.suite()
     final = {}
-    for direct in (False, True):
+    for made in (cubesat3u.ekf, cubesat3u.consistent_ekf, cubesat3u.direct_ekf):
         loop = Loop(
             plant=cubesat3u.body(),
             controller=cubesat_pd(),
             sensors=suite,
-            navigator=cubesat3u.ekf(direct=direct),
+            navigator=made(),
             actuator=cubesat3u.wheels(),
         )
         start = cubesat3u.initial_state(surroundings, np.radians([25, -25, 25]), np.radians([0.3, -0.3, 0.3]))
         scn = Scenario(initial=start, dt=0.5, periods=600, samples=5, environment=surroundings)
         (run,) = simulate_many([(loop, scn)], record=errors_and_covariance)
         assert run.ok
-        final[direct] = run.extra[0]
+        final[made] = run.extra[0]
     for e in final.values():
         assert np.abs(e[-500:, :3]).max() < np.radians(0.3)
         assert np.abs(e[-1, 6:]).max() < np.radians(0.005)
@@ -299,8 +315,8 @@ def test_eclipse_starves_the_vector_solution_and_not_the_direct_filter():
     dark[..., 0, 12], dark[..., 1:, 12] = -1.0, 0.0  # the Sun stays 1 rad below the limb
     spread, miss = {}, {}
     for direct in (False, True):
-        navigator = replace(cubesat3u.ekf(direct=direct), deviation=SMALL)
-        _, e, P = normalised_errors(navigator, 2, periods=1200, environment=night, body=cubesat3u.body())
+        navigator = replace(cubesat3u.direct_ekf() if direct else cubesat3u.ekf(), deviation=SMALL)
+        _, e, P, _ = normalised_errors(navigator, 2, periods=1200, environment=night, body=cubesat3u.body())
         spread[direct] = np.sqrt(P[:, :, :3, :3].trace(axis1=2, axis2=3))
         miss[direct] = np.linalg.norm(e[:, :, :3], axis=-1)
     assert (spread[False][:, -1] > 2 * spread[False][:, 0]).all()

@@ -6,6 +6,7 @@ import pytest
 from scipy.signal import cont2discrete
 
 from plants.errors import ScenarioError
+from plants.estimation import navigation
 from plants.geometry import attitude
 from plants.missions import cubesat3u
 from plants.surroundings.disturbances import seen_from
@@ -127,5 +128,7 @@ def test_blocks_of_the_study_fit_together():
     assert cubesat3u.suite().channels == 12
     assert cubesat3u.ekf().body.disturbances == ()
     assert len(cubesat3u.body().disturbances) == 4
-    assert cubesat3u.ekf(direct=True).direct
+    assert isinstance(cubesat3u.direct_ekf().vectors, navigation.VectorsThemselves)
+    assert cubesat3u.ekf().window == cubesat3u.WINDOW
+    assert cubesat3u.consistent_ekf().window == 1
     assert cubesat3u.svd().window == 5
