@@ -307,7 +307,7 @@ RIGHT: dict[str, dict[str, Any]] = {
     **{name: {"systems": CONTINUOUS, "ax": None, "time": None} for name in ("impulse", "step")},
     "pzmap": {"systems": CONTINUOUS, "ax": None},
     "proportional_derivative": {"inertia": [1.0, 2.0, 3.0], "wn": 0.1, "zeta": 0.7, "dt": 0.1},
-    "quaternion_lqr": {"inertia": np.eye(3), "dt": 0.1, "Q": None, "R": None},
+    "quaternion_lqr": {"inertia": np.eye(3), "dt": 0.1, "Q": None, "R": None, "short_way": True},
     "quaternion_pd": {"inertia": np.eye(3), "wn": 0.1, "zeta": 0.7, "dt": 0.1},
     "quaternion_pid": {"inertia": np.eye(3), "wn": 0.1, "zeta": 0.7, "dt": 0.1, "integral_time": 100.0,
                        "zone_deg": 5.0},

@@ -30,6 +30,7 @@ from plants.outcome.indices import settling_time
 from plants.simulation import blocks
 from plants.simulation.campaign import draw
 from plants.simulation.loop import Controller, Loop, Run, Scenario
+from plants.surroundings.disturbances import ConstantTorque
 from plants.surroundings.environment import FreeSpace, OrbitEnv
 
 DEG = np.pi / 180
@@ -78,19 +79,6 @@ class Satellite:
     def project(self, x: BodyState) -> BodyState:
         """The state with a unit quaternion."""
         return self.body.project(x)
-
-
-@partial(blocks.node, data_fields=["value"], meta_fields=[])
-@dataclass(frozen=True, kw_only=True)
-class ConstantTorque:
-    """A torque fixed in body axes, such as that of a leaking valve: how stiff is a controller against it?"""
-
-    value: Any  # (3,) N m
-
-    def torque(self, seen: Any, inertia: Array) -> Array:
-        """The same whatever surrounds the body, (3,) N m."""
-        del seen, inertia
-        return jnp.asarray(self.value)
 
 
 class Dispersion(NamedTuple):
@@ -153,7 +141,7 @@ def satellite(moments: ArrayLike | None = None, *, torque: ArrayLike | None = No
     inertia = INERTIA.copy()
     if moments is not None:
         np.fill_diagonal(inertia, real("moments", moments, (3,)))
-    push = ConstantTorque(value=np.zeros(3) if torque is None else real("torque", torque, (3,)))
+    push = ConstantTorque.create(np.zeros(3) if torque is None else real("torque", torque, (3,)))
     body = RigidBody.create(
         inertia, wheel_axes=WHEEL_AXES, wheel_inertia=WHEEL_INERTIA, disturbances=(push,), physical=False
     )
@@ -206,7 +194,7 @@ def manoeuvre(
 def applied(loop: Loop, scenario: Scenario) -> Start:
     """The dispersion read back from what flies."""
     plant: Any = loop.plant
-    torque = plant.body.disturbances[0].value
+    torque = plant.body.disturbances[0].vector
     return Start(np.diag(plant.body.inertia), scenario.initial.q, scenario.initial.w, torque)
 
 

@@ -12,11 +12,11 @@ Reference: Markley and Crassidis (2014), Fundamentals of Spacecraft Attitude Det
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, overload
 
 import numpy as np
 
-from synth.checks import as_number, as_period
+from synth.checks import as_flag, as_number, as_period
 from synth.errors import ModelError
 from synth.regulators.controller import LinearController, as_inertia, state_feedback
 from synth.regulators.regulator import lqr
@@ -94,8 +94,18 @@ def quaternion_pid(
     )  # fmt: skip
 
 
-def quaternion_lqr(inertia: Any, dt: float, *, Q: Any = None, R: Any = None) -> LinearController:
-    """The constant gain u = -K [qv; w] of the model linearised at the target; far off it may go the long way round.
+@overload
+def quaternion_lqr(
+    inertia: Any, dt: float, *, Q: Any = None, R: Any = None, short_way: Literal[False] = False
+) -> LinearController: ...
+@overload
+def quaternion_lqr(
+    inertia: Any, dt: float, *, Q: Any = None, R: Any = None, short_way: Literal[True]
+) -> QuaternionPid: ...
+def quaternion_lqr(
+    inertia: Any, dt: float, *, Q: Any = None, R: Any = None, short_way: bool = False
+) -> LinearController | QuaternionPid:
+    """The constant gain u = -K [qv; w] of the model linearised at the target; from q0 < 0 it goes the long way round.
 
     Parameters
     ----------
@@ -103,10 +113,12 @@ def quaternion_lqr(inertia: Any, dt: float, *, Q: Any = None, R: Any = None) -> 
     dt : sampling time in s, positive
     Q : (6, 6) weight of [qv; w], symmetric positive semidefinite; identity when left out
     R : (3, 3) weight of u, symmetric positive definite; identity when left out
+    short_way : the same gain on [s qv; w] with s the sign of q0: never round the long way, and no longer linear
 
     Returns
     -------
-    LinearController : on the measurement of `synth.regulators.sdc`, y and r (10,), with r zero
+    LinearController, or with `short_way` QuaternionPid without an integral : on the measurement of
+        `synth.regulators.sdc`, y and r (10,), with r zero
 
     Raises
     ------
@@ -116,4 +128,6 @@ def quaternion_lqr(inertia: Any, dt: float, *, Q: Any = None, R: Any = None) -> 
     O = np.zeros((3, 3))
     A, B = np.block([[O, np.eye(3) / 2], [O, O]]), np.vstack([O, np.linalg.inv(as_inertia(inertia))])
     K, _, _ = lqr(A, B, np.eye(6) if Q is None else Q, np.eye(3) if R is None else R)
+    if as_flag("short_way", short_way):
+        return QuaternionPid(Kp=K[:, :3], Ki=O, Kd=K[:, 3:], zone=0.0, dt=as_period(dt))
     return state_feedback(np.hstack([np.zeros((3, 1)), K, O]), as_period(dt))

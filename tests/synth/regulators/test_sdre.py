@@ -285,6 +285,23 @@ def test_constant_gains_run_on_plain_arrays():
     np.testing.assert_allclose(u, expected, rtol=1e-12)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_the_short_way_is_the_same_gain_on_either_sign(seed):
+    """Of the quaternion, also with weights that couple the axes."""
+    rng = np.random.default_rng(seed)
+    q, w, root = rng.standard_normal(4), 0.01 * rng.standard_normal(3), rng.standard_normal((6, 6))
+    y = measurement(q / np.linalg.norm(q) * np.sign(q[0]), w)
+    Q, R = root @ root.T, np.diag(rng.uniform(0.1, 10, 3))
+    long, short = quaternion_lqr(IB, DT, Q=Q, R=R), quaternion_lqr(IB, DT, Q=Q, R=R, short_way=True)
+    expected = long.step(long.init(), y, np.zeros(10))[1]
+    turned = y * np.r_[-np.ones(4), np.ones(6)]
+    for measured in (y, turned):
+        np.testing.assert_allclose(short.step(short.init(), measured, None)[1], expected, rtol=1e-12)
+    assert not np.allclose(long.step(long.init(), turned, np.zeros(10))[1], expected)
+    with pytest.raises(ModelError, match="short_way is 1; pass True or False"):
+        quaternion_lqr(IB, DT, short_way=1)  # pyright: ignore[reportCallIssue, reportArgumentType]
+
+
 @pytest.mark.slow  # compiles
 def test_sdre_settles_from_anywhere():
     """Modified Rodrigues parameters, inertia off by 20 per cent."""
@@ -330,6 +347,8 @@ def test_sdre_takes_the_short_way_and_the_constant_gain_the_long_one():
         assert path(history)[0] < np.deg2rad(25)
         assert settling(history)[0] < 300
     assert path(flown(quaternion_lqr(IB, DT), start)[0])[0] > np.deg2rad(342)
+    history, _ = flown(quaternion_lqr(IB, DT, short_way=True), start)
+    assert path(history)[0] < np.deg2rad(25)
 
 
 @pytest.mark.slow
