@@ -1,137 +1,94 @@
 """Amazonia-1: the Monte Carlo of Romero and Souza (CILAMCE 2022) with every controller, their claims measured.
 
-SDRE and SDRE + H-infinity as the paper has them and as they are meant, LQR, PD and PID are flown from the same random
-attitudes, rates and inertias, compared, and written up in an HTML report.
+SDRE and SDRE + H-infinity as the paper has them and as they are meant, LQR as it is and with the short way round, PD
+and PID are flown from the same random attitudes, rates and inertias, compared run by run, and written up in an HTML
+report.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from amazonia1_claims import PAPER as TITLE
+from amazonia1_claims import counterparts, findings, share, side, statements, summary
+from amazonia1_flights import (
+    AGAIN,
+    DYNAMIC,
+    LITERAL,
+    LQR,
+    MRP,
+    NOMINAL,
+    PAPER,
+    PD,
+    PID,
+    PUSH,
+    ROW,
+    SDRE,
+    SHORT,
+    STATIC,
+    STEP,
+    Shared,
+    Study,
+    case,
+    controllers,
+    measure,
+    starts,
+)
+from amazonia1_pointwise import EQUATIONS, levels
 from amazonia1_worst import PERIOD as WORST_PERIOD
 from amazonia1_worst import question
+from matplotlib.figure import Figure
 
-from plants import (
-    Campaign,
-    Loop,
-    Scenario,
-    Statement,
-    Table,
-    Verdict,
-    amazonia1,
-    clopper_pearson,
-    draw,
-    figures,
-    report,
-    study,
-)
-from plants.missions.amazonia1 import DEG, PERIOD, Outcome, Start
+from plants import Campaign, Table, amazonia1, draw, figures, report, study
+from plants.missions.amazonia1 import DEG
 from plants.outcome import worst
-from synth import (
-    MrpModel,
-    QuaternionModel,
-    Sdre,
-    SdreHinf,
-    SdreHinfPaperLiteral,
-    SdreHinfStatic,
-    quaternion_lqr,
-    quaternion_pd,
-    quaternion_pid,
-)
+from synth import ExportError, export
 
-SDRE, MRP, LQR, PD, PID = "SDRE", "SDRE, MRP", "LQR", "PD", "PID"
-LITERAL, STATIC, DYNAMIC = "SDRE + Hinf, as published", "SDRE + Hinf, static", "SDRE + Hinf, dynamic"
-PAPER = (SDRE, LITERAL)  # figure 3
-PUSH = 1e-3  # N m about each axis, our test of disturbance rejection
-FREQUENCY, DAMPING, INTEGRAL_TIME = 0.04, 0.75, 120.0  # rad/s, 1, s: PD and PID with about the gains of the LQR
-ROW = 1.0  # s between two rows that are kept
 HEADERS = ("controller", "settled", "median, s", "max, s", "converged", "turned at most, deg",
            "mean torque, mN m", f"deg under {1e3 * PUSH:g} mN m", "fallbacks")  # fmt: skip
+AGAINST = ("SDRE against", "settling time, s", "95 %", "p", "q0 < 0, s", "q0 > 0, s", "torque, ratio", "95 %", "p")
+ABBREVIATIONS = {
+    "SDRE": "state-dependent Riccati equation: a regulator designed anew in every sample",
+    "MRP": "modified Rodrigues parameters, the factorisation without a singular attitude",
+    "Hinf": "H-infinity: least worst-case gain, here of coprime factors",
+    "LQR": "linear-quadratic regulator", "PD, PID": "proportional, integral, derivative control",
+    "settled": "below 1 deg and 1e-3 rad/s to the end", "q0": "scalar part of the quaternion at the start",
+}  # fmt: skip
+__all__ = ["DYNAMIC", "LITERAL", "LQR", "MRP", "NOMINAL", "PD", "PID", "ROW", "SDRE", "SHORT", "STATIC", "share"]
 
 
-class Shared(NamedTuple):
-    """What the runs of one controller have in common."""
-
-    controller: Any  # its dt is the control period, s
-    duration: float  # s
-
-
-class Measured(NamedTuple):
-    """What is kept of a run."""
-
-    outcome: Outcome
-    fallbacks: int  # samples in which no Riccati equation could be solved
+def period_option(parser: Any) -> None:
+    """--period, the same for both studies."""
+    parser.add_argument("--period", type=float, default=STEP, metavar="SECONDS",
+                        help=f"of control and integration (default {STEP:g}; {amazonia1.PERIOD:g} is the paper's, "
+                             "which takes ten times as long)")  # fmt: skip
 
 
-@dataclass
-class Study(study.Study):
-    """What has been measured so far."""
-
-    duration: float  # s, of a flight
-    campaigns: dict[str, Campaign] = field(default_factory=dict)
-
-    def random(self, name: str) -> Outcome:
-        """The runs of the Monte Carlo that have finished."""
-        flown = self.campaigns[name]
-        drawn = (flown.dispersed.torque == 0).all(axis=1)
-        return Outcome(*(values[drawn] for values in flown.results.outcome))
-
-    def pushed(self, name: str) -> float:
-        """Angle that a constant torque leaves, deg."""
-        flown = self.campaigns[name]
-        return float(flown.results.outcome.angle[(flown.dispersed.torque != 0).any(axis=1)][0] / DEG)
+def check_period(parser: Any, period: float) -> None:
+    """End the program with exit code 2 for a period that does not fill a row."""
+    if not (period > 0 and np.isclose(ROW / period % 1, 0, atol=1e-9)):
+        parser.error(f"--period {period:g}: give a part of {ROW:g} s, such as 0.05 or 0.5")
 
 
-def controllers(period: float = PERIOD) -> dict[str, Any]:
-    """Q = 1 and R = 1 as the paper has it, for the nominal inertia without the spin of the rotors (eq. 22)."""
-    inertia, dt = amazonia1.INERTIA - np.diag(amazonia1.WHEEL_INERTIA), period
-    gibbs = QuaternionModel.create(inertia)  # eq. 26
-    return {
-        SDRE: Sdre.create(gibbs, dt),
-        MRP: Sdre.create(MrpModel.create(inertia), dt),
-        LITERAL: SdreHinfPaperLiteral.create(gibbs, dt),
-        STATIC: SdreHinfStatic.create(gibbs, dt),
-        DYNAMIC: SdreHinf.create(gibbs, dt),
-        LQR: quaternion_lqr(inertia, dt),
-        PD: quaternion_pd(inertia, FREQUENCY, DAMPING, dt),
-        PID: quaternion_pid(inertia, FREQUENCY, DAMPING, dt, integral_time=INTEGRAL_TIME),
-    }
-
-
-def starts(runs: int, seed: int) -> Start:
-    """A run from rest under a constant torque, then the `runs` of the Monte Carlo."""
-    drawn = amazonia1.monte_carlo(runs, seed)
-    pushed = Start(np.diag(amazonia1.INERTIA), np.array([1.0, 0, 0, 0]), np.zeros(3), np.full(3, PUSH))
-    return Start(*(np.concatenate([one[None], many]) for one, many in zip(pushed, drawn, strict=True)))
-
-
-def case(start: Start, shared: Shared) -> tuple[Loop, Scenario]:
-    """One run as the simulator takes it."""
-    period = shared.controller.dt
-    return amazonia1.manoeuvre(
-        start, shared.controller, duration=shared.duration, period=period, keep_every=round(ROW / period)
-    )
-
-
-def measure(run: Any) -> Measured:
-    """Outcome and the controller's own count of Riccati equations without solution."""
-    return Measured(amazonia1.outcome(run), int(getattr(run.memory, "failures", 0)))
-
-
-def fly(found: Study, controllers: dict[str, Any], runs: int, seed: int) -> None:
-    """The Monte Carlo with every controller."""
-    study.campaigns(
-        case,
-        starts(runs, seed),
-        {name: Shared(controller, found.duration) for name, controller in controllers.items()},
-        found.campaigns,
-        measure=measure,
-        read=amazonia1.applied,
-        keep=dict.fromkeys(PAPER, range(runs + 1)),
-        **found.flying,
-    )
+def fly(found: Study, built: dict[str, Any], runs: int, seed: int) -> None:
+    """The Monte Carlo with every controller, then with the nominal inertia."""
+    begun = starts(runs, seed)
+    shared = {name: Shared(controller, found.duration) for name, controller in built.items()}
+    common = {"measure": measure, "read": amazonia1.applied}
+    keep: dict[str, Any] = dict.fromkeys(PAPER, range(runs + 1))
+    study.campaigns(case, begun, shared, found.campaigns, keep=keep, **common, **found.flying)
+    nominal = begun._replace(moments=np.broadcast_to(np.diag(amazonia1.INERTIA), begun.moments.shape))
+    again = {f"{name}, nominal inertia": shared[name] for name in NOMINAL}
+    flown: dict[str, Campaign] = {}
+    study.campaigns(case, nominal, again, flown, **common, **found.flying)
+    found.nominal |= {name: flown[f"{name}, nominal inertia"] for name in NOMINAL}
+    if found.period != amazonia1.PERIOD:
+        law = {f"{SDRE}, {amazonia1.PERIOD:g} s": Shared(controllers()[SDRE], found.duration)}
+        study.campaigns(case, starts(min(runs, AGAIN), seed), law, flown, **common, **found.flying)
+        found.fine[SDRE] = flown[next(iter(law))]
+    found.levels |= levels(built, seed)
 
 
 def table(found: Study) -> Table:
@@ -153,81 +110,38 @@ def table(found: Study) -> Table:
     return Table("Monte Carlo", HEADERS, rows, note=rules)
 
 
-def share(hits: np.ndarray) -> str:
-    """How many, and how many it may be in truth."""
-    low, high = clopper_pearson(int(hits.sum()), len(hits))
-    return f"{hits.sum()}/{len(hits)} (95 %: {low:.3f} to {high:.3f})"
+def against(found: Study) -> Table:
+    """SDRE against every other law, run by run."""
+    rows = []
+    for name in found.campaigns:
+        if name == SDRE or SDRE not in found.campaigns:
+            continue
+        time, torque = found.compared(SDRE, name, "settling_time"), found.compared(SDRE, name, "given", ratio=True)
+        sides = (side(found, name, behind).split(" ")[0] for behind in (True, False))
+        rows.append([
+            name, f"{time.median:+.1f}", f"{time.low:+.1f} to {time.high:+.1f}", f"{time.wilcoxon:.2g}", *sides,
+            f"{torque.median:.3f}", f"{torque.low:.3f} to {torque.high:.3f}", f"{torque.wilcoxon:.2g}",
+        ])  # fmt: skip
+    return Table(
+        "SDRE against the others, run by run", AGAINST, rows,
+        note="Medians of the differences of settling times (negative: SDRE is sooner) and of the ratios of mean "
+        "torques (below 1: SDRE takes less) over the same starts and inertias, with intervals by order statistics; p "
+        "of the signed-rank test.",
+    )  # fmt: skip
 
 
-def printed_pair(q: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A and B of eq. 26 with all seven states, wheels at rest; q scalar first."""
-    Ib = amazonia1.INERTIA - np.diag(amazonia1.WHEEL_INERTIA)
-    W = np.cross(np.eye(3), -w)
-    A, B = np.zeros((7, 7)), np.vstack([np.zeros((4, 3)), -np.linalg.inv(Ib)])
-    A[:3, :3], A[3, :3], A[:3, 4:] = -0.5 * W, -0.5 * w, 0.5 * q[0] * np.eye(3)
-    A[4:, 4:] = -np.linalg.solve(Ib, W @ Ib)
-    return A, B
-
-
-def out_of_reach(A: np.ndarray, B: np.ndarray) -> float:
-    """Smallest singular value of [A - s I, B] over the modes s that do not decay: zero if one cannot be stabilised."""
-    modes = [s for s in np.linalg.eigvals(A) if s.real > -1e-9]
-    return min(np.linalg.svd(np.hstack([A - s * np.eye(len(A)), B]), compute_uv=False)[-1] for s in modes)
-
-
-def statements(found: Study) -> list[Statement]:
-    """The claims of the paper."""
-
-    def settles(*names: str) -> Verdict:
-        hits = [found.random(name).settled for name in names]
-        text = "; ".join(f"{name} {share(h)}" for name, h in zip(names, hits, strict=True))
-        return ("holds" if all(h.all() for h in hits) else "does not hold"), f"settled: {text}"
-
-    def median(name: str) -> float:
-        return float(np.median(found.random(name).settling_time))
-
-    def times(*names: str) -> str:
-        return ", ".join(f"{name} {median(name):.0f} s" for name in names)
-
-    def slower() -> Verdict:
-        slow = [median(name) > median(SDRE) for name in (LITERAL, STATIC, DYNAMIC)]
-        verdict = "holds" if all(slow) else "depends on how steps 5 and 6 are read" if any(slow) else "does not hold"
-        return verdict, f"median: {times(SDRE, LITERAL, STATIC, DYNAMIC)}"
-
-    def rejects() -> Verdict:
-        better = found.pushed(LITERAL) < found.pushed(SDRE)
-        text = ", ".join(f"{name} {found.pushed(name):.3f}" for name in (SDRE, LITERAL, STATIC, DYNAMIC))
-        verdict = "holds" if better else "does not hold"
-        return verdict, f"angle left by {1e3 * PUSH:g} mN m about each axis, deg: {text}"
-
-    def stabilisable() -> Verdict:
-        here = np.array([1.0, 0, 0, 0])
-        rest = out_of_reach(*printed_pair(here, np.zeros(3)))
-        slow = out_of_reach(*printed_pair(here, np.full(3, 1e-4)))
-        verdict = "holds" if rest > 1e-12 else "does not hold"
-        return verdict, f"distance to a pair that is not: {rest:.1g} at rest, {slow:.1g} at 1e-4 rad/s about each axis"
-
-    def linear(other: str) -> Verdict:
-        a, b = found.random(SDRE), found.random(other)
-        better = [a.settled.sum() > b.settled.sum(), median(SDRE) < median(other), a.given.mean() < b.given.mean()]
-        verdict = "holds" if all(better[1:]) else "depends on the index" if any(better) else "does not hold"
-        text = ", ".join(
-            f"{name} {o.settled.sum()} settled, mean torque {1e3 * o.given.mean():.1f} mN m, "
-            f"turned {o.path.max() / DEG:.0f} deg at most"
-            for name, o in ((SDRE, a), (other, b))
-        )
-        return verdict, f"median {times(SDRE, other)}; {text}"
-
-    return [
-        Statement("SDRE is robust to +-20 % in the inertia", "abstract, section 5", lambda: settles(SDRE)),
-        Statement("SDRE + Hinf is robust to +-20 % in the inertia", "section 5",
-                  lambda: settles(LITERAL, STATIC, DYNAMIC)),
-        Statement("SDRE + Hinf uses more time than SDRE to stabilise", "section 5, figure 3", slower),
-        Statement("It is slower because it rejects disturbances better", "section 6, as a conjecture", rejects),
-        Statement("Equation 26 is pointwise stabilisable", "section 4.1", stabilisable),
-        Statement("SDRE performs better than PID", "section 1", lambda: linear(PID)),
-        Statement("Nonlinear control performs better than linear", "abstract", lambda: linear(LQR)),
-    ]  # fmt: skip
+def pointwise(found: Study) -> Table:
+    """The level of the H-infinity laws."""
+    rows = [
+        (name, str(EQUATIONS[name]), f"{v[0]:.3f}", f"{v.min():.3f}", f"{v.max():.3f}")
+        for name, v in found.levels.items()
+    ]
+    return Table(
+        "Level of eq. 12 over the one asked for",
+        ("law", "Riccati equations", "at the target", "least", "largest"), rows,
+        note="Model and law frozen at the target and at random starts of the Monte Carlo; 1 or less is what section "
+        "2.1 promises.",
+    )  # fmt: skip
 
 
 def drawings(found: Study) -> report.Section:
@@ -243,9 +157,21 @@ def drawings(found: Study) -> report.Section:
     return study.drawings("Figure 3", drawn)
 
 
-def cards(found: Study, built: dict[str, Any]) -> list[report.Card]:
-    """Every controller at a glance."""
-    made = []
+def settling(found: Study) -> tuple[Figure, str] | None:
+    """Share of the runs that have settled, over time."""
+    drawn = {}
+    for name in found.campaigns:
+        times = np.sort(found.random(name).settling_time)
+        drawn[name] = (np.repeat(times, 2), np.repeat(np.arange(len(times) + 1), 2)[1:-1, None] / max(len(times), 1))
+    if not drawn:
+        return None
+    shown = {name: (t[np.isfinite(t)], share[np.isfinite(t)]) for name, (t, share) in drawn.items()}
+    return figures.histories(shown, ["share of runs settled"]), "Share of the runs that have settled, over time."
+
+
+def cards(found: Study, built: dict[str, Any], out: Path) -> list[report.Card]:
+    """Every controller at a glance, with the files of those that leave as C."""
+    made, gain = [], exported(built[LQR], out)
     for name, controller in built.items():
         facts = {"law": type(controller).__name__, "sampling time": f"{controller.dt:g} s"}
         if hasattr(controller, "gamma_factor"):
@@ -254,16 +180,32 @@ def cards(found: Study, built: dict[str, Any]) -> list[report.Card]:
             facts["factorisation"] = type(controller.model).__name__
         if hasattr(controller, "model") and name in found.campaigns:
             facts["samples without solution"] = str(found.campaigns[name].results.fallbacks.sum())
-        made.append(report.Card(name, [*facts.items()]))
+        files = gain if name in (LQR, SHORT) else []
+        note = "Give it the quaternion times the sign of q0." if name == SHORT else ""
+        made.append(report.Card(name, [*facts.items()], files, note))
     return made
+
+
+def exported(gain: Any, out: Path) -> list[tuple[str, str]]:
+    """The constant gain in C, and as an FMU where there is a compiler, written into `out`."""
+    made = export(gain, "c", out, name="lqr", force=True)
+    try:
+        made += export(gain, "fmu3", out, name="lqr", force=True)
+    except ExportError as error:
+        print(f"no FMU: {error}")
+    kinds = {".c": "the gain in C", ".h": "its header", ".fmu": "FMU 3.0"}
+    return [(path.name, kinds[path.suffix]) for path in made]
 
 
 def main(arguments: list[str] | None = None) -> int:
     """The command line."""
     fast = "600 s flights, 4 runs, no search for the worst"
-    options = study.parse(study.parser(__doc__, out="out/amazonia1", fast=fast, runs=100), arguments)
+    parser = study.parser(__doc__, out="out/amazonia1", fast=fast, runs=100)
+    period_option(parser)
+    options = study.parse(parser, arguments)
+    check_period(parser, options.period)
     runs, duration = (min(options.runs, 4), 600.0) if options.fast else (options.runs, amazonia1.DURATION)
-    found, built = Study(duration), controllers()
+    found, built = Study(duration, options.period), controllers(options.period)
 
     def flights() -> None:
         fly(found, built, runs, options.seed)
@@ -278,11 +220,17 @@ def main(arguments: list[str] | None = None) -> int:
         title="Amazonia-1: SDRE under parametric uncertainty",
         subtitle="SDRE, SDRE + H-infinity, LQR, PD and PID in one nonlinear simulator; after Romero and Souza, "
         "CILAMCE 2022",
-        tables=[table(found), *worst.tables(found.worst)],
+        tables=[table(found), against(found), pointwise(found), *worst.tables(found.worst)],
         statements=statements(found),
-        cards=cards(found, built),
+        counterparts=counterparts(),
+        paper=TITLE,
+        summary=summary(found),
+        abbreviations=ABBREVIATIONS,
+        first=settling(found),
+        findings=findings(found),
+        cards=cards(found, built, options.out),
         sections=[drawings(found)],
-        settings=f"{runs} runs, seed {options.seed}, {duration:g} s flights",
+        settings=f"{runs} runs, seed {options.seed}, {duration:g} s flights, period {options.period:g} s",
     )
 
 

@@ -14,18 +14,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from amazonia1 import LQR, MRP, ROW, SDRE, Shared, case, controllers, measure, share
+from amazonia1 import ABBREVIATIONS, check_period, period_option
+from amazonia1_flights import LQR, MRP, SDRE, SHORT, Shared, case, controllers, measure
+from amazonia1_region_claims import PAPER, TESTS, TITLE, counterparts, findings, reached, statements, summary
 from matplotlib.figure import Figure
 
-from plants import Campaign, Statement, Table, Verdict, amazonia1, clopper_pearson, figures, report, simulate, study
+from plants import Campaign, Table, amazonia1, clopper_pearson, figures, report, simulate, study
 from plants.files import write_atomically
-from plants.missions.amazonia1 import DEG, PERIOD, RPM, Dispersion, Outcome
+from plants.missions.amazonia1 import DEG, RPM, Dispersion, Outcome
 
-NAMES = (LQR, SDRE, MRP)
-PAPER = (LQR, SDRE)
+NAMES = (LQR, SHORT, SDRE, MRP)
 HEADERS = ("controller", "runs", "attitude and rate", "95 %", "of the feasible", "rate only", "95 %", "fallbacks")
 BINS = np.linspace(0, 2, 21)  # of the momentum load
-TESTS = {"attitude and rate": "converged", "rate only": "slow"}
 KEPT = ("settling_time", "angle", "rate", "path", "asked", "given", "wheel_speed")
 
 
@@ -79,101 +79,6 @@ def table(found: Study) -> Table:
     return Table("What converges", HEADERS, rows, note=tests)
 
 
-def statements(found: Study) -> list[Statement]:
-    """The claims of the paper."""
-
-    def of_both(converged: bool, slow: bool) -> str:
-        """Verdict from those of the honest and of the rate-only test."""
-        return study.either(converged, slow, "the test of convergence")
-
-    def counts() -> str:
-        both = {name: found.outcome(name) for name in PAPER}
-        return "; ".join(
-            f"{name}: attitude and rate {share(o.converged)}, rate only {share(o.slow)}" for name, o in both.items()
-        )
-
-    def larger() -> Verdict:
-        """By the runs that one converges and the other does not: is SDRE the one in more than half of such runs?"""
-        first, second = (found.campaigns[name].index for name in PAPER)
-        both = first[np.isin(first, second)]
-        verdicts, texts = {}, []
-        for label, test in TESTS.items():
-            lqr, sdre = (
-                getattr(found.outcome(name), test)[np.isin(found.campaigns[name].index, both)] for name in PAPER
-            )
-            alone, other = int((sdre & ~lqr).sum()), int((lqr & ~sdre).sum())
-            verdicts[test] = alone + other > 0 and clopper_pearson(alone, alone + other)[0] > 0.5
-            texts.append(f"{label}: SDRE alone {alone}, LQR alone {other}")
-        return of_both(**verdicts), f"{counts()}; {'; '.join(texts)}"
-
-    def not_global() -> Verdict:
-        both, feasible = [found.outcome(name) for name in PAPER], found.feasible(SDRE)
-        verdict = of_both(not any(o.converged.all() for o in both), not any(o.slow.all() for o in both))
-        return verdict, f"{counts()}; {share(feasible)} satisfy the momentum bound that holds for any controller"
-
-    def all_angles() -> Verdict:
-        """Convergence by the norm of the Euler angles, quarter by quarter."""
-        texts, even = [], []
-        for name in PAPER:
-            o, index = found.outcome(name), found.campaigns[name].index
-            size = np.linalg.norm(found.drawn.angles[index], axis=1)
-            if len(size) < 40:
-                return "not measured", f"{len(size)} runs are too few for quarters"
-            quarter = np.digitize(size, np.quantile(size, [0.25, 0.5, 0.75]))
-            hits = [o.converged[quarter == k] for k in range(4)]
-            texts.append(f"{name} " + ", ".join(f"{h.sum()}/{h.size}" for h in hits))
-            even.append(min(h.mean() for h in hits) > 0.5 * max(h.mean() for h in hits))
-        verdict = "holds" if all(even) else "does not hold"
-        return verdict, f"converged by quarters of the norm of the Euler angles: {'; '.join(texts)}"
-
-    def limit() -> Verdict:
-        texts, within = [], {"converged": [], "slow": []}
-        for name in PAPER:
-            o, size = found.outcome(name), np.linalg.norm(found.drawn.rates[found.campaigns[name].index], axis=1)
-            largest = {test: float(size[getattr(o, test)].max(initial=0.0)) for test in ("converged", "slow")}
-            for test, value in largest.items():
-                within[test].append(value <= amazonia1.REGION_RATE_NORM)
-            texts.append(f"{name} {largest['converged']:.4f} by attitude and rate, {largest['slow']:.4f} by rate only")
-        outside = found.load[(np.linalg.norm(found.drawn.rates, axis=1) <= amazonia1.REGION_RATE_NORM)] > 1
-        verdict = of_both(*map(all, within.values()))
-        return verdict, (
-            f"largest |w0| that converged, rad/s: {'; '.join(texts)}. The bound says little: {outside.mean():.0%} of "
-            "the initial conditions below it are beyond the momentum of the wheels"
-        )
-
-    def lack() -> Verdict:
-        ratio = {name: found.outcome(name).given / found.outcome(name).asked for name in PAPER}
-        verdict = "holds" if all(np.nanmedian(r) < 1 for r in ratio.values()) else "does not hold"
-        text = ", ".join(
-            f"{name} {np.nanmedian(r):.2f} ({np.nanquantile(r, 0.05):.2f} to {np.nanquantile(r, 0.95):.2f})"
-            for name, r in ratio.items()
-        )
-        return verdict, f"mean torque given over mean torque asked, median (5 to 95 %): {text}"
-
-    return [
-        Statement("SDRE has a larger region of attraction than LQR", "section 5, figure 3; section 6", larger),
-        Statement("Neither is globally asymptotically stable with these wheels", "section 5, figure 3", not_global),
-        Statement("Both control the whole range of Euler angles", "section 5, figure 3", all_angles),
-        Statement("No region of attraction reaches beyond |w0| = 0.0556 rad/s", "section 5", limit),
-        Statement("The torque given is smaller than the torque computed", "section 5, figure 2", lack),
-    ]
-
-
-def findings(found: Study, period: float) -> list[str]:
-    """How sharp the bound of momentum is, where runs come so near that it matters."""
-    beyond = {name: found.load[flown.index[found.outcome(name).converged]] for name, flown in found.campaigns.items()}
-    beyond = {name: load[load > 1] for name, load in beyond.items() if (load > 1).any()}
-    if not beyond:
-        return []
-    text = ", ".join(f"{name} {len(load)} (by at most {load.max() - 1:.2%})" for name, load in beyond.items())
-    added = amazonia1.WHEEL_TORQUE * period / amazonia1.MOMENTUM
-    kept = amazonia1.SLOW * np.diag(amazonia1.INERTIA).max() / amazonia1.MOMENTUM
-    return [
-        f"Converged beyond the momentum of the wheels: {text}. The bound is that sharp: a wheel passes its speed limit "
-        f"by what the motor adds in a period, {added:.2%} of it, and the tests let the body keep {kept:.2%}."
-    ]
-
-
 def drawings(found: Study) -> list[tuple[Figure, str]]:
     """Figures 1 to 3 of the paper, and the share that converges against the momentum bound."""
     size, rate = np.linalg.norm(found.drawn.angles, axis=1) / DEG, np.linalg.norm(found.drawn.rates, axis=1)
@@ -224,7 +129,7 @@ def save(found: Study, path: Path) -> None:
     """Initial conditions and outcomes of all runs."""
     data: dict[str, Any] = {"angles": found.drawn.angles, "rates": found.drawn.rates, "momentum_load": found.load}
     for name, flown in found.campaigns.items():
-        key = name.replace(", ", "_").lower()
+        key = name.replace(", ", "_").replace(" ", "_").lower()
         data |= {f"{key}_index": flown.index}
         data |= {f"{key}_{part}": getattr(found.outcome(name), part) for part in KEPT}
     np.savez_compressed(content := io.BytesIO(), **data)
@@ -279,12 +184,9 @@ def main(arguments: list[str] | None = None) -> int:
     fast, what = "100 s flights and 8 initial conditions", "initial conditions"
     parser = study.parser(__doc__, out="out/amazonia1_region", fast=fast, runs=400, what=what)
     parser.add_argument("--replay", type=int, metavar="INDEX", help="fly one initial condition again and plot it")
-    parser.add_argument("--period", type=float, default=PERIOD, metavar="SECONDS",
-                        help=f"of control and integration (default {PERIOD:g} as in the paper); 0.5 s flies ten times "
-                             "as many initial conditions in the same time")  # fmt: skip
+    period_option(parser)
     options = study.parse(parser, arguments, natural=["replay"])
-    if not (options.period > 0 and np.isclose(ROW / options.period % 1, 0, atol=1e-9)):
-        parser.error(f"--period {options.period:g}: give a part of {ROW:g} s, such as 0.05 or 0.5")
+    check_period(parser, options.period)
     runs, duration = (min(options.runs, 8), 100.0) if options.fast else (options.runs, amazonia1.DURATION)
     built = controllers(options.period)
     chosen = {name: built[name] for name in NAMES}
@@ -302,7 +204,11 @@ def main(arguments: list[str] | None = None) -> int:
         subtitle="LQR and SDRE with wheels that saturate; after Romero and Souza (2022), doi 10.37394/23202.2022.21.9",
         tables=[table(found)],
         statements=statements(found),
-        findings=findings(found, options.period),
+        findings=[*reached(found), *findings(found, options.period)],
+        counterparts=counterparts(),
+        paper=TITLE,
+        summary=summary(found),
+        abbreviations={k: v for k, v in ABBREVIATIONS.items() if k in ("SDRE", "MRP", "LQR")},
         sections=[
             study.drawings("Figures 1 to 3", drawings(found)),
             report.Section("Data", report.links([("region.npz", "initial conditions and outcomes, SI and radians")])),
