@@ -78,6 +78,8 @@ class ParametricLp:
     def solve(self, room: np.ndarray, basis: Any = None) -> LpSolution:
         """The optimum for the right-hand side `room` (M,), inf where a row is free, from `basis` or from none.
 
+        What comes of a basis and is no optimum, or does not pass the check, is solved again from none.
+
         Raises
         ------
         NumericalError : HiGHS ends with anything but an optimum, or with one that does not pass the check.
@@ -94,6 +96,8 @@ class ParametricLp:
         highs.run()
         status = highs.getModelStatus()
         if status != highspy.HighsModelStatus.kOptimal:
+            if basis is not None:
+                return self.solve(room)
             word = highs.modelStatusToString(status)
             raise NumericalError(f"HiGHS ended with {word!r}", {"highs": word})
         info, solution = highs.getInfo(), highs.getSolution()
@@ -102,6 +106,8 @@ class ParametricLp:
         if not error <= ACCURACY:  # HiGHS' prices are not exact where rows are scaled far apart
             error = self._against_another(v, room)
         if not error <= ACCURACY:
+            if basis is not None:  # nearly singular, and its digits are lost
+                return self.solve(room)
             raise NumericalError(f"HiGHS calls optimal what is off by {error:.1e}", {"highs": f"off by {error:.1e}"})
         return LpSolution(
             v,
