@@ -89,9 +89,12 @@ if TYPE_CHECKING:
     from synth.systems.connect import lft as lft
     from synth.systems.connect import series as series
     from synth.systems.generalized import GeneralizedPlant as GeneralizedPlant
+    from synth.systems.parameters import Expression as Expression
+    from synth.systems.parameters import ureal as ureal
     from synth.systems.sampled import c2d as c2d
     from synth.systems.statespace import StateSpace as StateSpace
     from synth.systems.statespace import system as system
+    from synth.systems.uncertain import UncertainSystem as UncertainSystem
 
 _HOME = {
     "Acceptance": "delivery.acceptance",
@@ -102,6 +105,7 @@ _HOME = {
     "Design": "synthesis.design",
     "EulerModel": "regulators.sdc",
     "ExportError": "errors",
+    "Expression": "systems.parameters",
     "FuelMpc": "predictive.fuel",
     "Gap": "analysis.gap",
     "GeneralizedPlant": "systems.generalized",
@@ -127,6 +131,7 @@ _HOME = {
     "StateSpace": "systems.statespace",
     "Study": "command.specification",
     "SynthError": "errors",
+    "UncertainSystem": "systems.uncertain",
     "VerificationError": "errors",
     "accept": "delivery.acceptance",
     "allmargin": "analysis.stabilitymargins",
@@ -175,6 +180,7 @@ _HOME = {
     "state_feedback": "regulators.controller",
     "step": "delivery.timeplots",
     "system": "systems.statespace",
+    "ureal": "systems.parameters",
     "verify": "analysis.norms",
     "verify_signature": "delivery.signatures",
 }

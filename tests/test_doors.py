@@ -144,7 +144,7 @@ OF_ANOTHER_SYSTEM = {"export", "mpc"}  # tested below
 WITHOUT_A_SYSTEM = {
     "care", "dare", "keygen", "sign", "verify_signature", "proportional_derivative",
     "quaternion_lqr", "quaternion_pd", "quaternion_pid", "read_study",
-    "state_feedback",
+    "state_feedback", "ureal",
 }  # fmt: skip
 
 
@@ -318,6 +318,7 @@ RIGHT: dict[str, dict[str, Any]] = {
     "verify_signature": {"path": "file", "key": "pair.pub"},
     "state_feedback": {"K": np.ones((1, 2)), "dt": 0.1},
     "system": {"dt": 0.0, "u": ("u",), "y": ("y",), "units": None},
+    "ureal": {"name": "J", "nominal": 1.0, "range": (0.5, 2.0), "percentage": None, "plusminus": None},
     "verify": {"system": CONTINUOUS},
 }  # fmt: skip
 

@@ -13,6 +13,7 @@ from test_doors import CONTINUOUS, SAMPLED, WEIGHTED, WRONG, refusal
 import synth
 
 I, G = np.eye(2), CONTINUOUS
+UNCERTAIN = synth.UncertainSystem([[synth.ureal("J", 1.0, percentage=20)]], -1.0, 1.0, 1.0)
 NINE = {"A": I / 2, "B1": I, "B2": I[:, :1], "C1": I, "D11": 0 * I, "D12": I[:, :1], "C2": I[:1], "D21": I[:1]}
 
 
@@ -47,6 +48,21 @@ RIGHT: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
         synth.GeneralizedPlant.four_block, {"G": G, "Wdist": 1, "Wnoise": 1, "Wout": 1, "Wact": 1}
     ),
     "GeneralizedPlant.close": (WEIGHTED.close, {"K": 1.0}),
+    "UncertainSystem": (
+        synth.UncertainSystem, {"E": I, "A": -I, "B": I, "C": I, "D": 0, "dt": 0.0, "u": (), "y": ()}
+    ),
+    "UncertainSystem.at": (UNCERTAIN.at, {"values": {"J": 1.1}, "within": True}),
+    "UncertainSystem.sample": (UNCERTAIN.sample, {"n": 2, "seed": 0}),
+    "UncertainSystem.gridded": (UNCERTAIN.gridded, {"points": 2}),
+    "UncertainSystem.series": (UNCERTAIN.series, {"H": 1.0}),
+    "UncertainSystem.feedback": (UNCERTAIN.feedback, {"K": 1.0, "sign": -1}),
+    "UncertainSystem.lft": (
+        synth.UncertainSystem(None, -1.0, [[1.0, 1.0]], [[1.0], [1.0]]).lft, {"K": 0.5, "nmeas": 1, "ncon": 1}
+    ),
+    "Expression + other": (lambda other: synth.ureal("J", 1.0, plusminus=0.5) + other, {"other": 2.0}),
+    "Expression * other": (lambda other: synth.ureal("J", 1.0, plusminus=0.5) * other, {"other": 2.0}),
+    "Expression / other": (lambda other: synth.ureal("J", 1.0, plusminus=0.5) / other, {"other": 2.0}),
+    "Expression ** power": (lambda power: synth.ureal("J", 1.0, plusminus=0.5) ** power, {"power": 2}),
     "LinearController.of": (synth.LinearController.of, {"K": SAMPLED}),
     "LinearController.padded": (synth.LinearController.of(SAMPLED).padded, {"states": 8}),
     "AntiWindup.of": (synth.AntiWindup.of, {"design": shaped(), "umin": -1.0, "umax": 1.0}),

@@ -1,31 +1,39 @@
 """Systems put together: in series, in feedback, and the linear fractional transformation that closes a plant.
 
 `lft` is the positive one of H-infinity theory (u = K y), `feedback` the negative one unless `sign` says otherwise.
-All take any description of a system.
+All take any description of a system, and uncertain ones (`UncertainSystem`), which stay so.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
 from synth.checks import as_array, as_whole, check_period
 from synth.errors import ModelError
+from synth.systems import uncertain
 from synth.systems.realization import loop_solve
 from synth.systems.statespace import StateSpace, as_systems
+from synth.systems.uncertain import UncertainSystem
 
 LONGEST = 5000  # samples of delay in all, each a state
 
 
-def series(G: Any, H: Any) -> StateSpace:
+@overload
+def series(G: UncertainSystem, H: Any) -> UncertainSystem: ...
+@overload
+def series(G: Any, H: Any) -> StateSpace: ...
+def series(G: Any, H: Any) -> Any:
     """H after G: y = H G u.
 
     Raises
     ------
     ModelError : sizes or timebases do not fit.
     """
+    if isinstance(G, UncertainSystem) or isinstance(H, UncertainSystem):
+        return uncertain.series(G, H)
     G, H = as_systems(G=G, H=H)
     if G.ny != H.nu:
         raise ModelError(f"the first system, G, has {G.ny} outputs, the second, H, {H.nu} inputs; they must agree")
@@ -73,20 +81,30 @@ def input_delay(G: StateSpace, delay: Any) -> StateSpace:
     return replace(G * StateSpace(A, B, C, D, G.dt), u=G.u, units=G.units)
 
 
-def feedback(G: Any, K: Any = 1, sign: int = -1) -> StateSpace:
+@overload
+def feedback(G: UncertainSystem, K: Any = 1, sign: int = -1) -> UncertainSystem: ...
+@overload
+def feedback(G: Any, K: Any = 1, sign: int = -1) -> StateSpace: ...
+def feedback(G: Any, K: Any = 1, sign: int = -1) -> Any:
     """The loop y = G (u + sign K y), negative by default; K = 1 stands for the identity.
 
     Raises
     ------
     ModelError : sizes or timebases do not fit, the loop is not well posed, `sign` is neither -1 nor 1.
     """
+    if isinstance(G, UncertainSystem) or isinstance(K, UncertainSystem):
+        return uncertain.feedback(G, K, sign)
     if np.isscalar(K) and not isinstance(K, str | bytes | bool):
         return as_systems(G=G)[0].feedback(K, sign)
     G, K = as_systems(G=G, K=K)
     return G.feedback(K, sign)
 
 
-def lft(P: Any, K: Any, nmeas: int | None = None, ncon: int | None = None) -> StateSpace:
+@overload
+def lft(P: UncertainSystem, K: Any, nmeas: int | None = None, ncon: int | None = None) -> UncertainSystem: ...
+@overload
+def lft(P: Any, K: Any, nmeas: int | None = None, ncon: int | None = None) -> StateSpace: ...
+def lft(P: Any, K: Any, nmeas: int | None = None, ncon: int | None = None) -> Any:
     """Lower linear fractional transformation: P closed by u = K y (positive feedback).
 
     u and y are the last `ncon` inputs and `nmeas` outputs of P; as many as K has when left out.
@@ -95,6 +113,8 @@ def lft(P: Any, K: Any, nmeas: int | None = None, ncon: int | None = None) -> St
     ------
     ModelError : dimensions or timebases disagree, or the loop is not well posed (I - D22 Dk is singular).
     """
+    if isinstance(P, UncertainSystem) or isinstance(K, UncertainSystem):
+        return uncertain.lft(P, K, nmeas, ncon)
     P, K = as_systems(P=P, K=K)
     nmeas = as_whole("nmeas", K.nu if nmeas is None else nmeas, "the number of measurements", least=1)
     ncon = as_whole("ncon", K.ny if ncon is None else ncon, "the number of controls", least=1)
