@@ -11,6 +11,7 @@ reported, but no torque modelled here depends on it, and the inertia is disperse
 axis by axis, as table 5 has it, may violate the triangle inequality of real bodies; Euler's equation allows it.
 """
 
+from collections.abc import Sequence
 from datetime import datetime
 from typing import Any, NamedTuple
 
@@ -29,7 +30,7 @@ from plants.hardware import sensors
 from plants.hardware.actuators import ReactionWheels
 from plants.simulation.linearize import LinearModel, linearize
 from plants.simulation.programs import Program
-from plants.surroundings import orbit
+from plants.surroundings import forces, orbit
 from plants.surroundings.disturbances import Disturbance, Drag, GravityGradient, ResidualDipole, SolarPressure
 from plants.surroundings.environment import CircularEnvironment, Environment, sun_position
 
@@ -179,10 +180,30 @@ def environment(
     raan: ArrayLike = RAAN,
     argument_of_latitude: ArrayLike = ARGUMENT_OF_LATITUDE,
     step: float = 10.0,
+    moved_by: Sequence[orbit.Force] = (orbit.Oblateness(),),
 ) -> Environment:
-    """Surroundings along an orbit of the study for `duration` s; several nodes (...) rad give a batch."""
+    """Surroundings along an orbit of the study for `duration` s; several nodes (...) rad give a batch.
+
+    What moves the orbit besides a spherical Earth is in `moved_by`: all of figure 6 are `perturbations`.
+    """
     start = orbit.circular(ALTITUDE, INCLINATION, raan, argument_of_latitude)
-    return Environment.along(start, EPOCH, duration, step=step)
+    return Environment.along(start, EPOCH, duration, step=step, forces=moved_by)
+
+
+def perturbations() -> tuple[orbit.Force, ...]:
+    """What moves the orbit in figure 6: the Earth's shape, Moon, Sun, drag and solar pressure.
+
+    Both pressures on the mean area of the box over all attitudes, a quarter of its surface (Cauchy).
+    """
+    x, y, z = SIZE
+    area = (x * y + y * z + z * x) / 2
+    return (
+        forces.EarthShape(),
+        forces.MoonGravity(),
+        forces.SunGravity(),
+        forces.DragForce.create(DRAG_COEFFICIENT * area / MASS),
+        forces.PressureForce.create(REFLECTION_COEFFICIENT * area / MASS),
+    )
 
 
 def noon(raan: ArrayLike, duration: float) -> np.ndarray:
