@@ -40,6 +40,8 @@ PERIOD = 0.1  # () s, [1] section 4
 STEPS = 2  # Runge-Kutta steps per period, ours
 
 TORQUE_LIMITS = (np.inf, 1.0, 0.2, 0.05)  # () N m per wheel, ours: is the comparison one of unlimited wheels?
+INERTIA_SPREAD = 0.3  # () of each moment, ours: "not well determined" in [1] section 1
+SMALL = TARGET / 10  # (3,) rad, ours: a slew beside which the noise is large
 LARGE_ROLLS = (50, 70, 90, 100, 120, 150, 170)  # () deg of roll, with the target's pitch and yaw, ours
 SETTLED = 0.02  # () of the step, ours
 TAIL = 100.0  # () s, ours: from here on a run is taken as steady
@@ -55,6 +57,7 @@ class Case(NamedTuple):
     noise: np.ndarray  # (...) of the paper's noise, 1 for all of it and 0 for none
     torque_limit: np.ndarray  # (...) N m of each wheel
     seed: np.ndarray  # (...) of the process noise, a whole number
+    moments: np.ndarray  # (..., 3) kg m^2, diagonal of the inertia; controllers and filters keep the nominal one
 
 
 class Outcome(NamedTuple):
@@ -72,11 +75,28 @@ class Outcome(NamedTuple):
         return self.settling.max(axis=-1)
 
 
-def case(target: ArrayLike = TARGET, noise: float = 0.0, torque_limit: float = np.inf, seed: int = 0) -> Case:
-    """One run, by default the paper's manoeuvre without noise."""
+def case(
+    target: ArrayLike = TARGET,
+    noise: float = 0.0,
+    torque_limit: float = np.inf,
+    seed: int = 0,
+    moments: ArrayLike | None = None,
+) -> Case:
+    """One run, by default the paper's manoeuvre without noise and with its inertia."""
     return Case(
-        real("target", target, (3,)), np.array(float(noise)), np.array(float(torque_limit)), np.array(int(seed))
+        real("target", target, (3,)),
+        np.array(float(noise)),
+        np.array(float(torque_limit)),
+        np.array(int(seed)),
+        np.diag(INERTIA) if moments is None else real("moments", moments, (3,)),
     )
+
+
+def disperse(seed: int, index: int) -> Case:
+    """The paper's manoeuvre with its noise and an inertia that is not well known; a stream of its own for every run."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
+    spread = rng.uniform(1 - INERTIA_SPREAD, 1 + INERTIA_SPREAD, 3)
+    return case(noise=1.0, seed=seed + index, moments=np.diag(INERTIA) * spread)
 
 
 def raw(*, measured: float = 1.0, differenced: float = 0.0) -> RawAngles:
@@ -112,7 +132,7 @@ def manoeuvre(
     periods = whole("duration", duration, period, "control periods")
     noise = real("noise", one.noise, low=0)
     loop = Loop(
-        plant=BODY,
+        plant=EulerBody.create(one.moments, wheel_inertia=WHEEL_INERTIA),
         controller=controller,
         sensors=AngleRateSuite(angle_noise=noise * ANGLE_NOISE, rate_noise=noise * RATE_NOISE),
         navigator=navigator,
