@@ -43,6 +43,7 @@ from plants.outcome import worst
 from synth import ExportError, export, lqr, lqrd, state_feedback
 from synth.regulators.regulator import sampled_cost
 
+GLANCE = 100  # deg of roll, of the slew that says most
 DRAWS = 100  # of the Monte Carlo beside the worst flight
 AXES = ("roll, deg", "pitch, deg", "yaw, deg")
 ABBREVIATIONS = {
@@ -197,13 +198,19 @@ def lines(found: Study, shown: dict[str, tuple[str, int]]) -> dict[str, tuple[np
     return {label: (run.time, run.outputs[:, :3] / DEG) for label, run in flown.items() if run is not None}
 
 
-def largest(found: Study) -> tuple[Figure, str] | None:
-    """The largest slew with the three laws."""
-    shown = lines(found, {name: (name, NOISY - 1) for name in LAWS})
-    if not shown:
+def glance(found: Study) -> tuple[Figure, str] | None:
+    """The slew from which LQR never arrives, with the three laws."""
+    k = len(TORQUE_LIMITS) + [round(t[0] / DEG) for t in LARGE].index(GLANCE)
+    target = LARGE[k - len(TORQUE_LIMITS)] / DEG
+    series = {
+        name: (time, np.abs(angles - target).max(axis=1, keepdims=True))
+        for name, (time, angles) in lines(found, {name: (name, k) for name in LAWS}).items()
+    }
+    if not series:
         return None
-    return figures.histories(shown, AXES, until=DURATION / 2), (
-        "The largest slew. LQR takes Euler rates for body rates; the same gain on E^-1 does not."
+    return figures.histories(series, ["largest error, deg"], until=DURATION / 2, scale="log"), (
+        f"Largest error of an angle on the slew to {spelled(target, '.0f')} deg. LQR takes Euler rates for body rates; "
+        "the same gain on E^-1 does not."
     )
 
 
@@ -282,7 +289,7 @@ def main(arguments: list[str] | None = None) -> int:
         paper=TITLE,
         summary=summary(found),
         abbreviations=ABBREVIATIONS,
-        first=largest(found),
+        first=glance(found),
         sections=pictures(found),
         findings=findings(found),
         cards=cards(options.out, duration),
