@@ -56,7 +56,13 @@ if TYPE_CHECKING:
     from synth.predictive.fuel import minimum_fuel as minimum_fuel
     from synth.predictive.horizon import Mpc as Mpc
     from synth.predictive.horizon import mpc as mpc
+    from synth.proof.boxcertificate import BoxCertificate as BoxCertificate
     from synth.proof.certify import Certificate as Certificate
+    from synth.proof.worstcase import WorstCase as WorstCase
+    from synth.proof.worstcase import robstab as robstab
+    from synth.proof.worstcase import stability_margin as stability_margin
+    from synth.proof.worstcase import wcgain as wcgain
+    from synth.proof.worstcase import worst_gain as worst_gain
     from synth.regulators.antiwindup import AntiWindup as AntiWindup
     from synth.regulators.controller import Controller as Controller
     from synth.regulators.controller import LinearController as LinearController
@@ -100,6 +106,7 @@ _HOME = {
     "Acceptance": "delivery.acceptance",
     "AntiWindup": "regulators.antiwindup",
     "AssumptionError": "errors",
+    "BoxCertificate": "proof.boxcertificate",
     "Certificate": "proof.certify",
     "Controller": "regulators.controller",
     "Design": "synthesis.design",
@@ -133,6 +140,7 @@ _HOME = {
     "SynthError": "errors",
     "UncertainSystem": "systems.uncertain",
     "VerificationError": "errors",
+    "WorstCase": "proof.worstcase",
     "accept": "delivery.acceptance",
     "allmargin": "analysis.stabilitymargins",
     "augw": "synthesis.mixedsensitivity",
@@ -174,15 +182,19 @@ _HOME = {
     "quaternion_pd": "regulators.quaternion",
     "quaternion_pid": "regulators.quaternion",
     "read_study": "command.specification",
+    "robstab": "proof.worstcase",
     "series": "systems.connect",
     "sigma": "delivery.frequencyplots",
     "sign": "delivery.signatures",
+    "stability_margin": "proof.worstcase",
     "state_feedback": "regulators.controller",
     "step": "delivery.timeplots",
     "system": "systems.statespace",
     "ureal": "systems.parameters",
     "verify": "analysis.norms",
     "verify_signature": "delivery.signatures",
+    "wcgain": "proof.worstcase",
+    "worst_gain": "proof.worstcase",
 }
 
 __all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -29,6 +29,7 @@ NotNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
 Row = Annotated[list[float], Field(fail_fast=True)]
 Matrix = Annotated[list[Row], Field(fail_fast=True)]
+Entries = Annotated[list[Annotated[list[Any], Field(fail_fast=True)]], Field(fail_fast=True)]
 Names = Annotated[list[str], Field(fail_fast=True)]
 Limits = Annotated[list[float | None], Field(fail_fast=True)]
 Flag = Annotated[Literal[True], Tag("<flag>")]  # tags are what no key of a file is
@@ -264,6 +265,47 @@ class SealedCertificate(Certificate):
 
     plant: Plant
     controller: TimedSystem
+    sha256: str
+
+
+class Parameter(Record):
+    """See `synth.systems.parameters`."""
+
+    name: str
+    nominal: float
+    low: float
+    high: float
+
+
+class UncertainSystem(Record):
+    """See `synth.systems.uncertain`; entries are numbers, or lists of coefficients with powers of parameters."""
+
+    parameters: Annotated[list[Parameter], Field(max_length=20)]
+    E: Entries
+    A: Entries
+    B: Entries
+    C: Entries
+    D: Entries
+    dt: Timebase
+    u: Names
+    y: Names
+
+
+class BoxCertificate(Record):
+    """`synth.proof.boxcertificate`, format version 1."""
+
+    format: Literal["convex-synth box certificate"]
+    format_version: Literal[1]
+    statement: str
+    quantity: Literal["gain", "stability"]
+    level: Positive
+    reached: float | None
+    point: dict[str, float]
+    w: NotNegative
+    bits: Annotated[int, Field(ge=53, le=4096)]
+    system: UncertainSystem
+    edges: Annotated[list[Positive], Field(min_length=2, max_length=1000, fail_fast=True)]
+    script: Annotated[list[str], Field(fail_fast=True)]
     sha256: str
 
 

@@ -144,7 +144,7 @@ OF_ANOTHER_SYSTEM = {"export", "mpc"}  # tested below
 WITHOUT_A_SYSTEM = {
     "care", "dare", "keygen", "sign", "verify_signature", "proportional_derivative",
     "quaternion_lqr", "quaternion_pd", "quaternion_pid", "read_study",
-    "state_feedback", "ureal",
+    "robstab", "stability_margin", "state_feedback", "ureal", "wcgain", "worst_gain",
 }  # fmt: skip
 
 
@@ -263,6 +263,7 @@ I, Z = np.eye(2), np.zeros((2, 2))
 CONTINUOUS, SAMPLED = plant(0.0), plant(DT)
 WEIGHTED = synth.augw(CONTINUOUS, 1.0, 0.1)
 STRICT = synth.system([1.0], DEN)
+UNCERTAIN = synth.UncertainSystem([[synth.ureal("J", 1.0, percentage=20)]], -1.0, 1.0, 1.0)
 
 # function -> a call that works, by parameter
 RIGHT: dict[str, dict[str, Any]] = {
@@ -318,6 +319,10 @@ RIGHT: dict[str, dict[str, Any]] = {
     "verify_signature": {"path": "file", "key": "pair.pub"},
     "state_feedback": {"K": np.ones((1, 2)), "dt": 0.1},
     "system": {"dt": 0.0, "u": ("u",), "y": ("y",), "units": None},
+    **{
+        name: {"loop": UNCERTAIN, "controller": None, "tol": 1e-4, "boxes": 100}
+        for name in ("robstab", "stability_margin", "wcgain", "worst_gain")
+    },
     "ureal": {"name": "J", "nominal": 1.0, "range": (0.5, 2.0), "percentage": None, "plusminus": None},
     "verify": {"system": CONTINUOUS},
 }  # fmt: skip

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_doors import CONTINUOUS, SAMPLED, WEIGHTED, WRONG, refusal
+from test_doors import CONTINUOUS, SAMPLED, UNCERTAIN, WEIGHTED, WRONG, refusal
 
 import synth
 
 I, G = np.eye(2), CONTINUOUS
-UNCERTAIN = synth.UncertainSystem([[synth.ureal("J", 1.0, percentage=20)]], -1.0, 1.0, 1.0)
 NINE = {"A": I / 2, "B1": I, "B2": I[:, :1], "C1": I, "D11": 0 * I, "D12": I[:, :1], "C2": I[:1], "D21": I[:1]}
 
 
@@ -79,7 +78,11 @@ RIGHT: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "Design.save": (shaped().save, {"path": "design.json"}),
     "Design.certify": (shaped().certify, {"lower": None, "upper": None}),
 }  # fmt: skip
-READERS = {"Design.load": synth.Design.load, "Certificate.load": synth.Certificate.load}
+READERS = {
+    "Design.load": synth.Design.load,
+    "Certificate.load": synth.Certificate.load,
+    "BoxCertificate.load": synth.BoxCertificate.load,
+}
 
 
 @pytest.mark.parametrize("name", RIGHT)

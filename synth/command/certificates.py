@@ -12,6 +12,8 @@ from typing import Any
 from synth.delivery.acceptance import Requirements
 from synth.delivery.files import check_target
 from synth.errors import ModelError, SynthError
+from synth.proof import boxcertificate
+from synth.proof.boxcertificate import BoxCertificate
 from synth.proof.certify import BITS, FORMAT, Certificate
 from synth.proof.certify import certify as prove
 from synth.synthesis.design import Design
@@ -45,7 +47,9 @@ def verify(options: argparse.Namespace, load: Load) -> tuple[list[dict[str, Any]
     found = {file: read(file) for file in options.files}
     for file, certificate in found.items():
         try:
-            if design is None:
+            if isinstance(certificate, BoxCertificate) and design is not None:
+                raise ModelError("--design means nothing for a certificate of a box, which holds its own closed loop")
+            if isinstance(certificate, BoxCertificate) or design is None:
                 certificate.check()
             else:
                 certificate.check(design.plant, design.closing)
@@ -67,8 +71,8 @@ def begins(file: str) -> str:
 
 
 def is_certificate(file: str) -> bool:
-    """True when a file begins as `Certificate.save` writes it."""
-    return begins(file) == FORMAT
+    """True when a file begins as `Certificate.save` or `BoxCertificate.save` writes it."""
+    return begins(file) in (FORMAT, boxcertificate.FORMAT)
 
 
 def of_design(file: str, load: Load) -> Design:
@@ -79,10 +83,10 @@ def of_design(file: str, load: Load) -> Design:
     return design
 
 
-def read(file: str) -> Certificate:
-    """`Certificate.load` with the file's name in front of what is wrong."""
+def read(file: str) -> Certificate | BoxCertificate:
+    """The certificate in a file, with the file's name in front of what is wrong."""
     try:
-        return Certificate.load(file)
+        return (BoxCertificate if begins(file) == boxcertificate.FORMAT else Certificate).load(file)
     except SynthError as error:
         error.args = (f"{file}: {error}",)
         raise
@@ -93,8 +97,18 @@ def claims(file: str) -> dict[str, Any]:
     return {"kind": "certificate", **facts(read(file)), "proved": "not here; synth verify proves it again"}
 
 
-def facts(certificate: Certificate) -> dict[str, Any]:
+def facts(certificate: Certificate | BoxCertificate) -> dict[str, Any]:
     """What a certificate claims; its note is no claim."""
+    if isinstance(certificate, BoxCertificate):
+        c, gain = certificate, certificate.quantity == boxcertificate.GAIN
+        return {
+            "quantity": c.quantity,
+            "upper": c.level if gain else c.reached if c.point else None,
+            "lower": c.reached if gain else c.level,
+            "parameters": c.point,
+            "box": {p.name: list(p.range) for p in c.system.parameters.values()},
+            "bits": c.bits,
+        }
     return {
         "upper": certificate.upper,
         "lower": certificate.lower or None,
@@ -105,8 +119,10 @@ def facts(certificate: Certificate) -> dict[str, Any]:
     }
 
 
-def text(certificate: Certificate) -> str:
+def text(certificate: Certificate | BoxCertificate) -> str:
     """The claims in words."""
+    if isinstance(certificate, BoxCertificate):
+        return f"  {certificate.statement}"
     lower = f"no controller of any order reaches a norm below {certificate.lower!r}"
     return "\n".join(
         (

@@ -14,12 +14,14 @@ from synth.systems.generalized import GeneralizedPlant
 
 def info(options: argparse.Namespace) -> int:
     """`synth info`."""
-    from synth.command.certificates import begins, claims
+    from synth.command.certificates import begins, claims, is_certificate
     from synth.delivery.qp import FORMAT as MPC
-    from synth.proof.certify import FORMAT
 
-    readers = {FORMAT: claims, MPC: program}
-    found = [{"file": f, **readers.get(begins(f), lambda f: facts(load(f)))(f)} for f in options.files]
+    readers = {MPC: program}
+    found = [
+        {"file": f, **(claims(f) if is_certificate(f) else readers.get(begins(f), lambda f: facts(load(f)))(f))}
+        for f in options.files
+    ]
     if options.json:
         print_json(found)
         return DONE

@@ -46,7 +46,7 @@ class UncertainSystem:
     >>> from synth import UncertainSystem, ureal
     >>> J = ureal("J", 2.0, percentage=25)
     >>> G = UncertainSystem(E=[[1, 0], [0, J]], A=[[0, 1], [-1, -0.1]], B=[0, 1], C=[1, 0])
-    >>> [round(abs(pole), 4) for pole in G.at({"J": 2.5}).poles()]
+    >>> [round(float(abs(pole)), 4) for pole in G.at({"J": 2.5}).poles()]
     [0.6325, 0.6325]
     """
 

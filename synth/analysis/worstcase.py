@@ -1,0 +1,277 @@
+"""Where in a box of parameters a loop is worst: a search in floating-point arithmetic, which proves nothing.
+
+Gains are climbed in frequency and parameters at once from the best of many samples, with exact gradients: of the
+largest singular value of G = C (z E - A)^-1 B + D the derivative is Re(l (S' - z E') r), with the singular vectors
+carried through the resolvent. The nearest unstable parameters are looked for along rays, and then moved so that the box
+that just holds them is as small as it can be.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple, cast
+
+import numpy as np
+import scipy.linalg as sla
+from scipy import optimize
+
+from synth.systems.parameters import Parameter
+from synth.systems.uncertain import UncertainSystem
+
+VERTICES = 64  # of a box that are looked at, at most
+DRAWN = 64  # samples besides
+STARTS = 8  # of a climb
+GRID = 24  # frequencies besides those of the poles
+FARTHEST = 100.0  # times the ranges: as far as instability is looked for
+RAYS = np.geomspace(0.02, FARTHEST, 48)
+HALVINGS = 40
+ROUNDED = 1e-9  # of the poles' size: a growth that may be rounding
+
+
+Triple = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+class Peak(NamedTuple):
+    """A large gain."""
+
+    gain: float
+    w: float  # rad/s; of a discrete system tan(omega dt / 2)
+    t: np.ndarray  # (parameters,) in [-1, 1]
+    values: np.ndarray  # (parameters,) there
+
+
+class Numbers:
+    """A loop as a function of its parameters in doubles; t in [-1, 1] is the box, 0 the nominal values."""
+
+    def __init__(self, G: UncertainSystem, box: Sequence[Parameter]):
+        names = [p.name for p in box]
+        self.discrete, self.n = G.discrete, G.n
+        self.nominal = np.array([p.nominal for p in box])
+        self.low, self.high = np.array([p.low for p in box]), np.array([p.high for p in box])
+        self.up, self.down = self.high - self.nominal, self.nominal - self.low
+        S = np.block([[G.A, G.B], [G.C, G.D]])
+        monomials = sorted({m for M in (G.E, S) for entry in M.flat for m in entry.terms})
+        self.powers = np.array([[dict(m).get(name, 0) for name in names] for m in monomials])
+        self.E, self.S = (
+            np.array([[[float(entry.terms.get(m, 0)) for entry in row] for row in M] for m in monomials])
+            for M in (G.E, S)
+        )
+
+    def values(self, t: np.ndarray) -> np.ndarray:
+        """Parameters at t; inside their ranges for t in [-1, 1]."""
+        x = self.nominal + np.where(t > 0, self.up, self.down) * t
+        return np.where(np.abs(t) <= 1, np.clip(x, self.low, self.high), x)
+
+    def fractions(self, f: np.ndarray, scale: float) -> np.ndarray:
+        """T of points at fractions f of the ranges, made larger by `scale`."""
+        x = scale * (f * (self.up + self.down) - self.down)
+        room = np.where(x > 0, self.up, self.down)
+        return np.divide(x, room, out=np.zeros_like(x), where=room > 0)
+
+    def in_plane(self, poles: np.ndarray) -> np.ndarray:
+        """Finite poles, of a discrete loop as Cayley's map has them."""
+        poles = poles[np.isfinite(poles)]
+        if self.discrete:
+            poles = poles[poles != -1]
+            poles = (poles - 1) / (poles + 1)
+        return poles
+
+    def _weights(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Monomials at t, (m,), and their derivatives by t, (m, parameters)."""
+        x = self.values(t)
+        factors = x**self.powers
+        slopes = np.empty(self.powers.shape)
+        for i in range(len(x)):
+            others = np.delete(factors, i, axis=1).prod(axis=1)
+            k = self.powers[:, i]
+            slopes[:, i] = others * k * x[i] ** np.maximum(k - 1, 0)
+        return factors.prod(axis=1), slopes * np.where(t > 0, self.up, self.down)
+
+    def at(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """E and [A, B; C, D] at t."""
+        weights = self._weights(t)[0]
+        return np.tensordot(weights, self.E, 1), np.tensordot(weights, self.S, 1)
+
+    def poles(self, t: np.ndarray) -> np.ndarray:
+        """Finite poles, and inf for one that E sends there."""
+        E, S = self.at(t)
+        moving = E.any(axis=1) | E.any(axis=0)
+        alpha, beta = np.asarray(sla.eigvals(S[: self.n, : self.n], E, homogeneous_eigvals=True))
+        infinite = np.abs(beta) <= 1e-14 * np.abs(alpha)
+        lost = max(int(infinite.sum()) - int((~moving).sum()), 0)
+        return np.concatenate([alpha[~infinite] / beta[~infinite], [np.inf] * lost])
+
+    def growth(self, t: np.ndarray) -> float:
+        """Largest real part of a pole, or log of its modulus: negative for a stable loop."""
+        poles = self.poles(t)
+        if not poles.size:
+            return -np.inf
+        with np.errstate(divide="ignore"):
+            return float((np.log(np.abs(poles)) if self.discrete else np.real(poles)).max())
+
+    def growth_slope(self, t: np.ndarray) -> np.ndarray:
+        """Derivative of the growth, (parameters,); NaN where it has none."""
+        E, S = self.at(t)
+        poles, left, right = cast(Triple, sla.eig(S[: self.n, : self.n], E, left=True, right=True))
+        with np.errstate(all="ignore"):
+            size = np.where(np.isfinite(poles), np.log(np.abs(poles)) if self.discrete else np.real(poles), -np.inf)
+            k = int(np.argmax(size))
+            l, r, s = left[:, k].conj(), right[:, k], poles[k]
+            changed = (l @ self.S[:, : self.n, : self.n] @ r - s * (l @ self.E @ r)) / (l @ E @ r)
+            slope = changed @ self._weights(t)[1]
+            return (slope / s if self.discrete else slope).real
+
+    def z(self, w: float | np.ndarray) -> np.ndarray:
+        """S = j w, or the point of the unit circle that Cayley's map takes there."""
+        s = 1j * np.asarray(w)
+        return (1 + s) / (1 - s) if self.discrete else s
+
+    def gains(self, t: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """Largest singular values at frequencies."""
+        E, S = self.at(t)
+        n = self.n
+        M = self.z(w)[:, None, None] * E - S[:n, :n]
+        G = S[n:, :n] @ np.linalg.solve(M, np.broadcast_to(S[:n, n:].astype(complex), (len(w), *S[:n, n:].shape)))
+        return np.linalg.norm(G + S[n:, n:], 2, axis=(1, 2))
+
+    def gain(self, x: np.ndarray) -> tuple[float, np.ndarray]:
+        """Largest singular value and its gradient at x = (log w, t)."""
+        w, t, n = np.exp(x[0]), x[1:], self.n
+        weights, slopes = self._weights(t)
+        E, S = np.tensordot(weights, self.E, 1), np.tensordot(weights, self.S, 1)
+        z = complex(self.z(w))
+        M = z * E - S[:n, :n]
+        right = np.linalg.solve(M, S[:n, n:])
+        U, sigma, Vh = np.linalg.svd(S[n:, :n] @ right + S[n:, n:])
+        u, v = U[:, 0].conj(), Vh[0].conj()
+        r = np.concatenate([right @ v, v])
+        l = np.concatenate([np.linalg.solve(M.T, (u @ S[n:, :n]).T), u])
+        by_monomial = (l @ self.S @ r - z * (l[:n] @ self.E @ r[:n])).real
+        turned = 2j / (1 - 1j * w) ** 2 if self.discrete else 1j
+        by_w = (-turned * (l[:n] @ E @ r[:n])).real
+        return float(sigma[0]), np.concatenate([[by_w * w], by_monomial @ slopes])
+
+
+def samples(p: int) -> Iterable[np.ndarray]:
+    """The centre, vertices and points drawn from the box."""
+    rng = np.random.default_rng(0)
+    yield np.zeros(p)
+    if 2**p <= VERTICES:
+        yield from (np.array(v, float) for v in itertools.product((-1, 1), repeat=p))
+    else:
+        yield from rng.choice([-1.0, 1.0], size=(VERTICES, p))
+    yield from rng.uniform(-1, 1, size=(DRAWN, p))
+
+
+def worst_gain(
+    N: Numbers, starts: Iterable[np.ndarray] = (), frequencies: Iterable[float] = (), stable_below: float = 0.0
+) -> tuple[np.ndarray | None, list[Peak]]:
+    """An unstable point if one was met, and large gains, the largest first; from the points given or from samples.
+
+    `frequencies` are looked at besides those of the poles; a growth of `stable_below` times the poles is none.
+    """
+    peaks, climbed = [], []
+    given = list(starts)
+    for t in given or samples(len(N.nominal)):
+        poles = N.poles(t)
+        if N.growth(t) >= stable_below * _size(N, poles):
+            return t, []
+        w = np.unique([*_frequencies(N, poles), *frequencies])
+        with np.errstate(all="ignore"):
+            gains = np.nan_to_num(N.gains(t, w))
+        tops = np.flatnonzero((gains >= np.append(gains[1:], 0)) & (gains >= np.insert(gains[:-1], 0, 0)))
+        peaks += [Peak(float(gains[i]), float(w[i]), t, N.values(t)) for i in tops]
+    for start in sorted(peaks, key=lambda peak: -peak.gain)[:STARTS]:
+        found = _climbed(N, start)
+        if N.growth(found.t) >= stable_below * _size(N, N.poles(found.t)):
+            return found.t, []
+        climbed.append(max(found, start, key=lambda peak: peak.gain))
+    return None, sorted(climbed, key=lambda peak: -peak.gain)
+
+
+def _size(N: Numbers, poles: np.ndarray) -> float:
+    finite = np.abs(poles[np.isfinite(poles)])
+    return 1.0 if N.discrete or not finite.size else float(np.median(finite)) or 1.0
+
+
+def _frequencies(N: Numbers, poles: np.ndarray) -> np.ndarray:
+    """Those of the poles and a few others, as w."""
+    poles = N.in_plane(poles)
+    moduli = np.abs(poles)[np.abs(poles) > 0]
+    low, high = (moduli.min(), moduli.max()) if moduli.size else (1.0, 1.0)
+    resonant = np.abs(np.imag(poles))[np.abs(np.imag(poles)) > 1e-6 * np.abs(poles)]
+    return np.concatenate([moduli, resonant, np.geomspace(low / 10, high * 10, GRID)])
+
+
+def _climbed(N: Numbers, start: Peak) -> Peak:
+    """The local maximum uphill from a point."""
+    size, at = start.gain or 1.0, np.log(start.w)
+
+    def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
+        try:
+            gain, slope = N.gain(x)
+        except np.linalg.LinAlgError:
+            return 0.0, np.zeros_like(x)
+        return -gain / size, -slope / size
+
+    bounds = [(at - 3.0, at + 3.0), *[(-1.0, 1.0)] * len(start.t)]
+    with np.errstate(all="ignore"):
+        found = optimize.minimize(
+            cost, np.concatenate([[at], start.t]), jac=True, bounds=bounds, method="L-BFGS-B",
+            options={"maxiter": 200, "ftol": 1e-15, "gtol": 1e-10},
+        )  # fmt: skip
+    t = np.clip(found.x[1:], -1, 1)
+    return Peak(-float(found.fun) * size, float(np.exp(found.x[0])), t, N.values(t))
+
+
+def nearest_instability(N: Numbers, starts: Iterable[np.ndarray] = ()) -> np.ndarray | None:
+    """The point t with the least largest |t_i| found at which the loop is not stable; None up to `FARTHEST`."""
+    found = [t for t in (_along_ray(N, t) for t in list(starts) or samples(len(N.nominal))) if t is not None]
+    found.sort(key=lambda t: np.abs(t).max())
+    nearer = [t for t in (_along_ray(N, _moved(N, t)) for t in found[:STARTS]) if t is not None]
+    return min([*found[:1], *nearer], key=lambda t: np.abs(t).max(), default=None)
+
+
+def _along_ray(N: Numbers, direction: np.ndarray) -> np.ndarray | None:
+    """Where the loop is first found unstable on a ray, to rounding."""
+    size = np.abs(direction).max()
+    if size == 0:
+        return None
+    e = direction / size
+    near = [1 - 1e-3, 1 - 1e-6, 1.0, 1 + 1e-6, 1 + 1e-3]
+    low = 0.0
+    for k in np.unique([*RAYS, *(size * x for x in near)]):
+        if N.growth(k * e) >= 0:
+            break
+        low = k
+    else:
+        return None
+    high = k
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        low, high = (low, middle) if N.growth(middle * e) >= 0 else (middle, high)
+    return high * e
+
+
+def _moved(N: Numbers, start: np.ndarray) -> np.ndarray:
+    """The point moved along the boundary of stability to where the box that holds it is smallest."""
+    unit, p = _size(N, N.poles(start)), len(start)
+    rows = np.hstack([np.vstack([-np.eye(p), np.eye(p)]), np.ones((2 * p, 1))])
+    with np.errstate(all="ignore"):
+        try:
+            found = optimize.minimize(
+                lambda x: x[-1], np.append(start, np.abs(start).max()), jac=lambda x: np.eye(p + 1)[-1],
+                method="SLSQP", options={"maxiter": 100, "ftol": 1e-12},
+                constraints=[
+                    {"type": "ineq", "fun": lambda x: rows @ x, "jac": lambda x: rows},
+                    {
+                        "type": "ineq",
+                        "fun": lambda x: N.growth(x[:-1]) / unit,
+                        "jac": lambda x: np.append(N.growth_slope(x[:-1]) / unit, 0.0),
+                    },
+                ],
+            )  # fmt: skip
+        except (np.linalg.LinAlgError, ValueError):
+            return start
+    return found.x[:-1] if np.isfinite(found.x).all() else start
