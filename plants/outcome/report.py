@@ -159,12 +159,11 @@ def claims_table(claims: Sequence[Claim]) -> str:
         verdict = Html(
             f'<span class="verdict {mark}"><span aria-hidden="true">{sign}</span> {html.escape(claim.verdict)}</span>'
         )
-        details = "".join(
-            f'<br><span class="detail">{html.escape(f"{name}: {text}")}</span>'
-            for name, text in (("printed", claim.printed), ("holds if", claim.rule), ("why", claim.why))
-            if text
-        )
-        rows.append((claim.text, claim.source, verdict, Html(html.escape(claim.measured) + details)))
+        readings = claim.measured.split("; ") if claim.rule else [claim.measured]  # a line for each case
+        details = (("printed", claim.printed), ("holds if", claim.rule), ("why", claim.why))
+        lines = [html.escape(reading) for reading in readings if reading]
+        lines += [f'<span class="detail">{html.escape(f"{name}: {text}")}</span>' for name, text in details if text]
+        rows.append((claim.text, claim.source, verdict, Html("<br>".join(lines))))
     return table(("claim", "where", "verdict", "measured"), rows, label="Claims and verdicts", stacked=True)
 
 
