@@ -8,7 +8,7 @@ brought within 10 cm in 100 minutes on the linear plant.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,16 +28,30 @@ from synth import (
 
 THESIS_LQR, LQR, LQG = "LQR of the thesis", "LQR, tuned", "LQG"
 MIXED, MIXED_TUNED, FOUR_BLOCK = "H-infinity of the thesis", "H-infinity, tuned", "H-infinity, four blocks"
+LQR4, MIXED5, MIXED5_CHEAP = "LQR of chapter 4", "H-infinity of chapter 5", "H-infinity of chapter 5, cheap control"
 FORESEEING, FUEL = "LQR, tuned, foreseeing", "least-fuel MPC"
 MINUTE = 60.0  # s
 # unit of time in s and the second number of each structure; a 3 % longer unit misses the 10 cm
 UNITS = {LQR: (740.0, 1.5), LQG: (620.0, 32.0), MIXED_TUNED: (715.0, 0.8), FOUR_BLOCK: (530.0, 1.0)}
 I3, I6 = np.eye(3), np.eye(6)
-# the thesis's weights 6.4 to 6.6, and the shift that makes them a problem with a solution, per unit of time
-SENSITIVITY, INTEGRAL, BANDWIDTH = 2.0, 0.03, 1.0
-UNCERTAINTY, AT_REST, AT_INFINITY = 1 / 20, 0.3, 2.0
-EFFORT = 1.5
-SHIFT = 0.1
+SHIFT = 0.1  # per unit of time, makes the thesis's weights a problem with a solution
+
+
+class Weights(NamedTuple):
+    """The thesis's weights in its own symbols, times in minutes."""
+
+    Ms: float  # of wP (5.41, 6.4)
+    A: float
+    wB: float  # rad/min
+    tau: float  # min, of wI (5.42, 6.5)
+    r0: float
+    rinf: float
+    wu: float  # (6.6)
+
+
+CHAPTER6 = Weights(2.0, 0.03, 1.0, 1 / 20, 0.3, 2.0, 1.5)
+CHAPTER5 = Weights(2.0, 0.003, 10.0, 0.1, 0.3, 2.0, 1.5)  # section 5.6 does not say wu: that of 6.6
+CHEAP = CHAPTER5._replace(wu=1e-3)  # and one with which the level is nearly one
 
 
 def relative_motion(n: float, unit: float = 1.0) -> StateSpace:
@@ -63,11 +77,11 @@ def thesis_regulator(n: float, price: float) -> tuple[np.ndarray, np.ndarray]:
     return K, E
 
 
-def thesis_weights() -> tuple[StateSpace, float, StateSpace]:
-    """W1, W2 and W3 of equations 6.4 to 6.6."""
-    corner = AT_INFINITY / UNCERTAINTY
-    W1 = first_order(1 / SENSITIVITY, BANDWIDTH * (1 - INTEGRAL / SENSITIVITY), BANDWIDTH * INTEGRAL)
-    return W1, EFFORT, first_order(AT_INFINITY, corner * (AT_REST - AT_INFINITY), corner)
+def thesis_weights(w: Weights = CHAPTER6) -> tuple[StateSpace, float, StateSpace]:
+    """W1, W2 and W3 of equations 5.41, 5.42 and 6.4 to 6.6."""
+    corner = w.rinf / w.tau
+    W1 = first_order(1 / w.Ms, w.wB * (1 - w.A / w.Ms), w.wB * w.A)
+    return W1, w.wu, first_order(w.rinf, corner * (w.r0 - w.rinf), corner)
 
 
 def first_order(direct: float, residue: float, pole: float) -> StateSpace:
@@ -75,9 +89,9 @@ def first_order(direct: float, residue: float, pole: float) -> StateSpace:
     return StateSpace(np.array([[-pole]]), np.array([[1.0]]), np.array([[residue]]), np.array([[direct]]))
 
 
-def mixed_sensitivity(n: float, unit: float = MINUTE, shift: float = SHIFT) -> Design:
+def mixed_sensitivity(n: float, unit: float = MINUTE, shift: float = SHIFT, weights: Weights = CHAPTER6) -> Design:
     """The thesis's H-infinity problem in that unit of time, position measured."""
-    return mixsyn(relative_motion(n, unit), *thesis_weights(), shift=shift)
+    return mixsyn(relative_motion(n, unit), *thesis_weights(weights), shift=shift)
 
 
 def four_block(n: float, unit: float, push: float) -> Design:
@@ -135,7 +149,6 @@ def linear(n: float, dt: float) -> tuple[dict[str, LinearController], dict[str, 
 
     All have twelve states, so that one compiled loop serves them; those without dynamics leave them at zero.
     """
-    gain = thesis_regulator(n, 200)[0]
     designs = {
         MIXED: mixed_sensitivity(n),
         MIXED_TUNED: mixed_sensitivity(n, *UNITS[MIXED_TUNED]),
@@ -143,11 +156,25 @@ def linear(n: float, dt: float) -> tuple[dict[str, LinearController], dict[str, 
     }
     units = {name: UNITS.get(name, (MINUTE,))[0] for name in designs}
     made = {
-        THESIS_LQR: state_feedback(np.hstack([gain[:, :3] / MINUTE**2, gain[:, 3:] / MINUTE]), dt),
+        THESIS_LQR: thesis_feedback(n, 200, dt),
         LQR: regulator(n, UNITS[LQR][0], dt, rate=UNITS[LQR][1]),
         LQG: sampled(gaussian(n, *UNITS[LQG]), UNITS[LQG][0], dt),
     }
     made |= {name: sampled(d.controller, units[name], dt) for name, d in designs.items()}
+    return {name: padded(K, 12, 6) for name, K in made.items()}, designs
+
+
+def thesis_feedback(n: float, price: float, dt: float) -> LinearController:
+    """The gain of `thesis_regulator` on metres and seconds."""
+    gain = thesis_regulator(n, price)[0]
+    return state_feedback(np.hstack([gain[:, :3] / MINUTE**2, gain[:, 3:] / MINUTE]), dt)
+
+
+def nearby(n: float, dt: float) -> tuple[dict[str, LinearController], dict[str, Design]]:
+    """What chapters 4 and 5 fly from 1 m, and the designs, as `linear`."""
+    designs = {MIXED5: mixed_sensitivity(n, weights=CHAPTER5), MIXED5_CHEAP: mixed_sensitivity(n, weights=CHEAP)}
+    made = {LQR4: thesis_feedback(n, 100, dt)}
+    made |= {name: sampled(d.controller, MINUTE, dt) for name, d in designs.items()}
     return {name: padded(K, 12, 6) for name, K in made.items()}, designs
 
 
