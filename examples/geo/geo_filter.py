@@ -254,8 +254,8 @@ def findings(found: Study) -> list[str]:
         "The thesis's filter does not see where along the orbit the satellite is. Radius, its rate and latitude are "
         f"the same at every longitude: {rank(PAPER)} of 6 states are observable. From a first guess 1 km off, y is "
         f"{paper.rms[1]:.0f} m off after a day (x {paper.rms[0]:.2g} m, z {paper.rms[2]:.2g} m), also with Moon and "
-        f"Sun known ({told.rms[1]:.0f} m). Figure 3.4 shows good tracking of y only if the filter was started at the "
-        "true y; chapters 4 to 6 feed that estimate to the controllers. Measuring the longitude mends it: "
+        f"Sun known ({told.rms[1]:.0f} m). Figure 3.4 can show good tracking of y only if the filter was started at "
+        "the true y; chapters 4 to 6 feed that estimate to the controllers. Measuring the longitude mends it: "
         f"{ours.rms[1]:.2g} m. Told of Moon and Sun the filter knows that it does not know (it believes "
         f"{told.believed[1]:.0f} m, NEES {told.consistency.mean:.2g} per state), and nobody asked it; with (3.14) "
         f"alone it is too sure as well (NEES {paper.consistency.mean:.2g}).",
