@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from cubesat3u_robustness import MARGINS, margin_ratios, only_one_points, work
 
-from plants import Indices, Reading, Rule, Statement, clopper_pearson, cubesat3u, paired
+from plants import Indices, Paired, Reading, Rule, Statement, clopper_pearson, cubesat3u, paired
 
 DEG = cubesat3u.DEG
 BOUND = cubesat3u.REQUIREMENTS  # table 1
@@ -25,6 +25,7 @@ BOUNDS = {name: getattr(BOUND, key) / DEG for name, key in INDICES.items()}  # d
 AXES = ("roll", "pitch", "yaw")
 
 MOST = 0.8  # () of the runs: "with a few exceptions"
+HALF = 0.5  # () of the runs in which one configuration does and another does not
 MUCH = 0.5  # () "much smaller", "by a large margin"
 ALIKE = 0.1  # () "approximately similarly"
 FORM, FILTER, PLANE, NOISE = (
@@ -56,9 +57,15 @@ def share(met: Any, text: str = "") -> Reading:
     return Reading("", float(met.mean()), float(low), float(high), f"{met.sum()} of {met.size}{text}")
 
 
+def compared(first: Any, *others: Any, ratio: bool = True) -> Paired:
+    """One configuration with the best of others, run by run, as many runs as all of them have."""
+    runs = min(map(len, (first, *others)))
+    return paired(first[:runs], np.min([other[:runs] for other in others], axis=0), ratio=ratio)
+
+
 def ratio(first: Any, *others: Any) -> Reading:
-    """Of one configuration to the best of others, run by run: the median and its interval."""
-    return paired(first, np.min(others, axis=0), ratio=True).reading()
+    """Of one configuration to the best of others: the median and its interval."""
+    return compared(first, *others).reading()
 
 
 def dependence(rule: Rule, cases: Cases, factors: tuple[str, ...]) -> str:
@@ -113,7 +120,7 @@ def statements(found: Any, known: str = PAPER_EKF) -> list[Statement]:
     def alike() -> Cases:
         cases = {}
         for form, name in mpc.items():
-            p = paired(level(name, "ake"), level(hinf, "ake"), ratio=True)
+            p = compared(level(name, "ake"), level(hinf, "ake"))
             far = max(p.high - 1, 1 - p.low)
             near = 0.0 if p.low <= 1 <= p.high else min(abs(p.low - 1), abs(p.high - 1))
             cases[(f"{form} form",)] = Reading("", abs(p.median - 1), near, far, p.reading().text)
@@ -142,8 +149,10 @@ def statements(found: Any, known: str = PAPER_EKF) -> list[Statement]:
 
     def times() -> Cases:
         t = {name: results(name).settling_time for name in (hinf, SVD_HINF, *mpc.values())}
-        slow = np.minimum(t[hinf], t[SVD_HINF])
-        return {(f"{form} form",): paired(t[name], slow).reading() for form, name in mpc.items()}
+        return {
+            (f"{form} form",): compared(t[name], t[hinf], t[SVD_HINF], ratio=False).reading()
+            for form, name in mpc.items()
+        }
 
     def effort(name: str) -> np.ndarray:
         return results(name).effort.sum(axis=-1)
@@ -152,8 +161,8 @@ def statements(found: Any, known: str = PAPER_EKF) -> list[Statement]:
         drawn = found.campaigns[name].index > 0
         return {index: met[drawn] for index, met in passes(results(name)).items()}
 
-    def settled(name: str, drawn_only: bool = False) -> np.ndarray:
-        return (results(name).settling_time < found.window)[found.campaigns[name].index > 0 if drawn_only else ...]
+    def settled(name: str) -> np.ndarray:
+        return results(name).settling_time < found.window
 
     def superior() -> Cases:
         others = (*mpc.values(), SVD_HINF)
@@ -179,7 +188,7 @@ def statements(found: Any, known: str = PAPER_EKF) -> list[Statement]:
               MEETS, tracked, "the angle and how the error is made",
               why="r - y from the starts of table 5; the error quaternion after a tumble and a slew"),
         claim("The EKF configurations meet the AKE requirement, SVD + Hinf does not", "section 3.2, figure 10",
-              Rule("share of the runs in which the EKF meets it and the SVD does not", ">=", MOST), knowledge, PLANE,
+              Rule("share of the runs in which the EKF meets it and the SVD does not", ">", HALF), knowledge, PLANE,
               printed="0.31 deg required"),
         claim("The EKF results in a better estimation than the SVD alone", "section 3.2, figure 10",
               Rule("AKE with the EKF over that with the SVD", *SMALLER),
@@ -189,13 +198,13 @@ def statements(found: Any, known: str = PAPER_EKF) -> list[Statement]:
         claim("With the SVD, Hinf attenuates the noise of the estimate", "section 3.2",
               Rule("APE over AKE", *SMALLER), lambda: {("",): ratio(level(SVD_HINF, "ape"), level(SVD_HINF, "ake"))}),
         claim("With MPC instead of Hinf, the SVD alone would not even stabilise", "section 3.2",
-              Rule(f"share of the runs that stay within 1 deg after {found.window:g} s", "<", 0.5),
+              Rule(f"share of the runs that stay within 1 deg after {found.window:g} s", "<", HALF),
               lambda: {(f"{form} form",): share(settled(name)) for form, name in svd_mpc.items()}, FORM,
               why="the velocity form integrates, and its delay margin is a fifth of a sample"),
         claim("MPC has the smallest control error", "section 3.2, figure 12",
               Rule(times_worse("control error"), *SMALLER), lambda: against("control_error"), FORM),
         claim("EKF + Hinf meets the control error by a large margin, SVD + Hinf fails", "section 3.2, figure 12",
-              Rule("share of the runs in which the one keeps half of it and the other none", ">=", MOST), margin,
+              Rule("share of the runs in which the one keeps half of it and the other none", ">", HALF), margin,
               printed="0.31 deg required"),
         claim("EKF + Hinf has a much smaller PSE than the other two", "section 3.2, figure 13",
               Rule("PSE over the smaller of the others'", "<", MUCH), stability("pse"), FORM,
@@ -216,9 +225,8 @@ def statements(found: Any, known: str = PAPER_EKF) -> list[Statement]:
               lambda: {(f"{form} form",): ratio(effort(n), effort(hinf)) for form, n in mpc.items()}, FORM),
         claim("Hinf achieves good performance with small torques", "section 3.2, figures 7 to 9", MEETS,
               lambda: {("",): share(np.all([*passes(results(hinf)).values()], axis=0), "; all four of table 1")}),
-        claim("The filter converges from a wrong first estimate", "section 3.2.1, figures 14 and 15",
-              Rule(f"share of the runs of table 5 that stay within 1 deg after {found.window:g} s", ">=", MOST),
-              lambda: {("",): share(settled(hinf, True))}),
+        claim("The filter converges from a wrong first estimate", "section 3.2.1, figures 14 and 15", MEETS,
+              lambda: {("AKE",): share(dispersed(hinf)["AKE"])}, why="started from zeros, up to 25 deg per axis away"),
         claim("The Monte Carlo of EKF + Hinf meets all requirements with a few exceptions", "section 3.2.1, figure 16",
               MEETS, lambda: {(name,): share(met) for name, met in dispersed(hinf).items()}, "the index",
               printed="30 runs"),
@@ -226,7 +234,7 @@ def statements(found: Any, known: str = PAPER_EKF) -> list[Statement]:
               lambda: margin_ratios(found.controllers), "the margin", FORM,
               why=f"margins at the plant's input, each axis alone; the MPC without its limits; {', '.join(MARGINS)}"),
         claim("... also to the inertia, flown within 50 %", "section 4",
-              Rule("share of Hinf among the runs in which only one of both meets table 1", ">", 0.5),
+              Rule("share of Hinf among the runs in which only one of both meets table 1", ">", HALF),
               lambda: {(f"{form} form",): only_one_points(found, HINF, MPC[i]) for i, form in enumerate(mpc)}, FORM,
               why="with our filter; where both or none do, a run tells nothing"),
         claim("Hinf costs less computation than MPC", "section 4",

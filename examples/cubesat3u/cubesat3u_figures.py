@@ -6,7 +6,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from cubesat3u_claims import AXES, BOUNDS, HINF, INDICES, PAPER, worst
+from cubesat3u_claims import AXES, BOUNDS, INDICES, PAPER, PAPER_HINF, worst
 from cubesat3u_modes import turned
 from matplotlib.figure import Figure
 
@@ -54,12 +54,12 @@ def drawings(found: Any) -> list[report.Section]:
         figures.against_bound(series, AXES, BOUNDS["PSE"], "deg"),
         f"PSE over {REQUIREMENTS.pse_interval:g} s with its requirement (figure 13).",
     ))  # fmt: skip
-    many = [r for index, r in found.campaigns[HINF].kept.items() if index > 0]
+    many = [r for index, r in found.campaigns[PAPER_HINF].kept.items() if index > 0]
     spreads = [
         (figures.spread([(r.time, r.outputs[:, :3]) for r in many], ("q1", "q2", "q3"), until=early),
-         f"Quaternion, {HINF}, all runs of table 5, the filter started from zeros (figure 14)."),
+         f"Quaternion, {PAPER_HINF}, all runs of table 5, the filter started from zeros (figure 14)."),
         (figures.spread([(r.time, r.outputs[:, 3:] / DEG) for r in many], tuple(f"w{a}, deg/s" for a in "xyz"),
-                        until=early), f"Rate relative to the orbital frame, {HINF}, all runs (figure 15)."),
+                        until=early), f"Rate relative to the orbital frame, {PAPER_HINF}, all runs (figure 15)."),
     ]  # fmt: skip
     if found.night:
         angles = {

@@ -47,6 +47,7 @@ def survivors(found: Any, name: str) -> np.ndarray:
 def only_one_points(found: Any, first: str, second: str) -> Reading:
     """Of the runs that only one of two configurations survives, the share of the first's, with its exact interval."""
     a, b = survivors(found, first), survivors(found, second)
+    a, b = a[: len(b)], b[: len(a)]
     ours, differ = int((a & ~b).sum()), int((a ^ b).sum())
     text = f"{a.sum()} and {b.sum()} of {a.size}"
     if not differ:

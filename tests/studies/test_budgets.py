@@ -33,8 +33,8 @@ def test_cubesat_with_its_extended_kalman_filter():
     runs, seed, start = 40, 5, 300.0
     design, controllers = cubesat.design_controllers()
     found = cubesat.Study(design, controllers, start)
-    shared = cubesat.Shared(cubesat3u.environment(1000.0), controllers["Hinf"], cubesat3u.consistent_ekf(), 2000)
-    found.campaigns[cubesat.HINF] = campaign(
+    shared = cubesat.Shared(cubesat3u.environment(1000.0), controllers["Hinf"], cubesat3u.ekf(), 2000)
+    found.campaigns[cubesat.PAPER_HINF] = campaign(
         cubesat.case, cubesat.starts(runs, seed), shared, measure=lambda run: 0, seed=seed, keep=range(runs + 1),
         progress=False,
     )  # fmt: skip

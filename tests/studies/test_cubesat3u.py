@@ -59,7 +59,13 @@ def test_what_the_paper_does_not_say(flown):
     s, _, _ = flown
     hinf, pd = s.nominal[study.HINF], s.nominal[study.PD]
     assert study.worst(pd, "pse") < study.worst(hinf, "pse")
-    assert float(pd.settling_time) < float(hinf.settling_time)
+    later = s.campaigns[study.PD].results.settling_time - s.campaigns[study.HINF].results.settling_time
+    assert np.abs(np.median(later)) < 5  # s: of the same bandwidth
+    table = {row[0]: row for row in study.filters(s).rows}
+    before, after = (float(next(row[1] for name, row in table.items() if name.startswith(kind) and "table 3" in name))
+                     for kind in ("paper's", "EKF, ours"))  # fmt: skip
+    assert before == pytest.approx(13.9, abs=1.5)  # of the issue, for 9 expected
+    assert 9 <= after < 11
     growths = {name: growth(c, 1) for name, c in s.controllers.items()}
     assert growths["MPC velocity"] == pytest.approx(1.627, abs=0.05)  # literature: rho 1.12 to 1.63
     assert growths["MPC position"] == pytest.approx(1.123, abs=0.02)
