@@ -21,7 +21,7 @@ EQUATIONS = {SDRE: 1, LITERAL: 3, STATIC: 2, DYNAMIC: 2}  # Riccati equations th
 def printed_pair(q: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A and B of eq. 26 with all seven states, wheels at rest; q scalar first."""
     A, B = _spin(w)
-    W = np.cross(np.eye(3), -w)
+    W = np.cross(np.eye(3), w)
     A[:3, :3], A[3, :3], A[:3, 4:] = -0.5 * W, -0.5 * w, 0.5 * q[0] * np.eye(3)
     return A, B
 
@@ -30,21 +30,21 @@ def rate_pair(q: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A and B by eq. 14 with Omega, which the paper turns down."""
     del q
     A, B = _spin(w)
-    A[:3, :3], A[:3, 3], A[3, :3] = -0.5 * np.cross(np.eye(3), -w), 0.5 * w, -0.5 * w
+    A[:3, :3], A[:3, 3], A[3, :3] = -0.5 * np.cross(np.eye(3), w), 0.5 * w, -0.5 * w
     return A, B
 
 
 def attitude_pair(q: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A and B by eq. 14 with Xi, which the paper turns down as well."""
     A, B = _spin(w)
-    A[:3, 4:], A[3, 4:] = 0.5 * (q[0] * np.eye(3) + np.cross(np.eye(3), -q[1:])), -0.5 * q[1:]
+    A[:3, 4:], A[3, 4:] = 0.5 * (q[0] * np.eye(3) + np.cross(np.eye(3), q[1:])), -0.5 * q[1:]
     return A, B
 
 
 def _spin(w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A (7, 7) with the rows of eq. 25 alone, and B."""
     A, B = np.zeros((7, 7)), np.vstack([np.zeros((4, 3)), -np.linalg.inv(NET_INERTIA)])
-    A[4:, 4:] = -np.linalg.solve(NET_INERTIA, np.cross(np.eye(3), -w) @ NET_INERTIA)
+    A[4:, 4:] = -np.linalg.solve(NET_INERTIA, np.cross(np.eye(3), w) @ NET_INERTIA)
     return A, B
 
 
