@@ -29,8 +29,8 @@ def flown(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def attracted(tmp_path_factory):
-    """A hundred initial conditions at full length."""
-    return run(region, ["--runs", "100"], tmp_path_factory.mktemp("region"))
+    """The region as it is by default: four hundred initial conditions."""
+    return run(region, [], tmp_path_factory.mktemp("region"))
 
 
 def test_every_controller_settles_every_run(flown):
@@ -163,7 +163,7 @@ def test_nothing_converges_beyond_the_momentum_of_the_wheels(attracted):
     for name in region.NAMES:
         converged, feasible = s.outcome(name).converged, s.feasible(name)
         assert not (converged & ~feasible).any(), name
-        assert (converged & feasible).sum() >= feasible.sum() - 3, name  # the last per cents settle too late
+        assert (converged & feasible).sum() >= 0.95 * feasible.sum(), name  # the last per cents settle too late
 
 
 def test_runs_beyond_the_bound_are_reported(attracted):
