@@ -58,14 +58,6 @@ def first(found: Study) -> tuple[Figure, str] | None:
     return (bars(found), caption) if found.chapter6 else None
 
 
-def told_apart(fig: Figure) -> Figure:
-    """The same with a legend of two columns: long names side by side would make the axes small."""
-    with mpl.rc_context(STYLE):
-        fig.legends[0].remove()
-        fig.legend(*fig.axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
-    return fig
-
-
 def drifts(found: Study) -> Drawn:
     """Figures 2.4, 2.9, 2.10 and 2.12."""
     if drift.ALL not in found.drift:
@@ -78,7 +70,7 @@ def drifts(found: Study) -> Drawn:
     rows = ["r2 - r1, km", *(f"{axis}, km" for axis in AXES)]
     return [
         (
-            told_apart(figures.histories(series, rows)),
+            figures.histories(series, rows),
             "Two days without thrust from the ideal point (figures 2.4, 2.9, 2.10, 2.12).",
         )
     ]
@@ -101,7 +93,7 @@ def estimates(found: Study) -> Drawn:
         "One of the filters after a first guess about 1 km off (figures 3.3 to 3.6, as errors): the three measurements "
         "of the thesis leave y where it was guessed."
     )
-    return [(told_apart(figures.histories(series, rows, scale="log")), caption)]
+    return [(figures.histories(series, rows, scale="log"), caption)]
 
 
 def from_near(found: Study) -> Drawn:
@@ -109,7 +101,7 @@ def from_near(found: Study) -> Drawn:
     picked = []
     if found.near:
         series = {name: (f.time, 100 * f.position) for name, f in found.near.items()}
-        fig = told_apart(figures.histories(series, [f"{axis}, cm" for axis in AXES], until=2 * found.settle))
+        fig = figures.histories(series, [f"{axis}, cm" for axis in AXES], until=2 * found.settle)
         picked.append((fig, "From 1 m in each axis, 200 minutes, all perturbations (figures 4.3, 4.4, 5.10, 5.11)."))
     if found.peaks:
         picked += [
@@ -162,7 +154,7 @@ def eigenvalues(found: Study) -> Figure:
 def distance(flights: Mapping[str, Flight], box: float, settle: float) -> Figure:
     """The error in each axis on a logarithmic scale, with the box it is to be in from `settle` s on."""
     series = {name: (flight.time, np.maximum(np.abs(flight.position), FLOOR)) for name, flight in flights.items()}
-    fig = told_apart(figures.histories(series, [f"|{axis}|, m" for axis in AXES], until=3 * settle, scale="log"))
+    fig = figures.histories(series, [f"|{axis}|, m" for axis in AXES], until=3 * settle, scale="log")
     for ax in fig.axes:
         ax.plot([settle, 3 * settle], [box, box], color=BOUND, ls="--", lw=0.9)
     return fig
@@ -187,7 +179,7 @@ def forces(flights: Mapping[str, Flight], until: float) -> Figure:
 def far(flights: Mapping[str, Flight], until: float | None = None) -> Figure:
     """Distance from the ideal point, 1 km and 1 N."""
     series = {name: (f.time, np.linalg.norm(f.position, axis=1, keepdims=True)) for name, f in flights.items()}
-    return told_apart(figures.histories(series, ["distance, m"], scale="log", until=until))
+    return figures.histories(series, ["distance, m"], scale="log", until=until)
 
 
 def keeping(found: Study) -> Figure:

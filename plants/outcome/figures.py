@@ -18,6 +18,7 @@ Series = Mapping[str, tuple[np.ndarray, np.ndarray]]  # name -> time (N,) s, val
 DASHES = ("-", "--", "-.", ":")  # histories that coincide are told apart, also without colours
 DENSE = 2000  # points above which a line becomes a picture inside the SVG
 WIDTH = 4.7  # in, of every figure: one column, which a phone can show as well
+LETTERS = 72  # that fit beside each other in a legend
 WIDEST, THINNEST = 2.2, 1.0  # pt, of the first and the last line, so that one that covers another leaves an edge
 FAR = 2.0  # times the largest value: a bound beyond it is named, not drawn, so that the signal fills its axes
 
@@ -40,7 +41,7 @@ def histories(series: Series, rows: Sequence[str], *, until: float | None = None
                 ax.yaxis.set_major_formatter("{x:g}")  # powers as markup would be shown as they are written
         axes[-1].set_xlabel("time, s")
         fig.align_ylabels(axes)
-        fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=min(4, len(series)))
+        _legend(fig, *axes[0].get_legend_handles_labels())
         return fig
 
 
@@ -63,7 +64,7 @@ def against_bound(series: Series, rows: Sequence[str], bound: float, unit: str) 
                 ax.axhline(level, color=BOUND, ls="--", lw=0.9)
         axes[-1].set_xlabel("time, s" if bound <= top else f"time, s; required: {bound:g} {unit}, beyond the axes")
         fig.align_ylabels(axes)
-        fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=min(3, len(series)))
+        _legend(fig, *axes[0].get_legend_handles_labels())
         return fig
 
 
@@ -160,8 +161,7 @@ def scatter(
             if diagonal:
                 ax.axline((0, 0), slope=1, color="#888888", ls="--", lw=0.9)
         axes[-1].set_xlabel(xlabel)
-        handles, labels = axes[0].get_legend_handles_labels()
-        fig.legend(handles, labels, loc="outside upper left", ncols=min(4, len(labels)), markerscale=10 / size)
+        _legend(fig, *axes[0].get_legend_handles_labels(), markerscale=10 / size)
         return fig
 
 
@@ -196,7 +196,7 @@ def shares(
             ax.axvline(level, color=BOUND, ls="--", lw=0.9)
         ax.set_xlabel(xlabel)
         ax.set_ylabel("share of runs")
-        fig.legend(loc="outside upper left", ncols=min(4, len(counts)))
+        _legend(fig, *ax.get_legend_handles_labels())
         return fig
 
 
@@ -218,5 +218,11 @@ def composition(panels: Mapping[str, Mapping[str, np.ndarray]], parts: Sequence[
             ax.set_xlim(0, 100)
         axes[0].invert_yaxis()
         axes[-1].set_xlabel("%")
-        fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=min(3, len(parts)))
+        _legend(fig, *axes[0].get_legend_handles_labels())
         return fig
+
+
+def _legend(fig: Figure, handles: Sequence[Any], labels: Sequence[str], **options: Any) -> None:
+    """Above the axes, with as many columns as the longest name leaves room for."""
+    columns = LETTERS // (7 + max(map(len, labels), default=0))
+    fig.legend(handles, labels, loc="outside upper left", ncols=max(1, min(4, columns, len(labels))), **options)
