@@ -237,15 +237,6 @@ def said(found: Study) -> Sequence[str]:
     return [*filters.findings(found), *drift.findings(found), *findings(found), *keeping.findings(found)]
 
 
-def counted(found: Study) -> str:
-    """How many lines of the thesis have a counterpart."""
-    others = [claim.verdict for claim in counterparts()]
-    return (
-        f"{len(statements(found))} claims of the thesis judged, {others.count('drawn')} of its figures drawn, "
-        f"{others.count('left out')} figures, equations and remarks left out, each with its reason in claims.json"
-    )
-
-
 def main(arguments: list[str] | None = None) -> int:
     """The command line."""
     fast = "two days of box keeping with one seed, six noisy runs, no search for the worst"
@@ -265,7 +256,6 @@ def main(arguments: list[str] | None = None) -> int:
             worst.ask(question(found.rate, DRAWS, options.seed), found.worst, seed=options.seed)
 
     study.carry_out(found, flights)
-    print(counted(found), end="\n\n")
     return study.conclude(
         found,
         options.out,
@@ -292,7 +282,6 @@ def main(arguments: list[str] | None = None) -> int:
         settings=f"{runs} noisy runs, {THRUSTERS} drawn plants, {FILTERS} filters of each kind, seed {options.seed}, "
         f"{days} days of box keeping with {seeds} seeds",
         packages=("cvxpy", "highspy", "clarabel"),
-        notes=[counted(found)],
     )
 
 

@@ -13,6 +13,7 @@ some are it depends on the case, and an interval with the bound inside decides n
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import isnan, nan
@@ -26,6 +27,7 @@ Verdict = tuple[str, str]  # "holds", "does not hold", "depends on ..." or "not 
 OPPOSITE = {"<": ge, "<=": gt, ">": le, ">=": lt}
 RELATIONS = {"<": (lt, "below"), "<=": (le, "at most"), ">": (gt, "above"), ">=": (ge, "at least")}
 DRAWN, LEFT_OUT = "drawn", "left out"  # what becomes of a figure or table that states nothing
+KINDS = ("holds", "depends on something", "does not hold", "not decided", "not measured", DRAWN, LEFT_OUT)
 
 
 class Reading(NamedTuple):
@@ -137,7 +139,12 @@ def left_out(source: str, text: str, why: str) -> Claim:
     return Claim(text, source, LEFT_OUT, "", why=why)
 
 
+def counted(claims: Sequence[Claim]) -> Counter[str]:
+    """How many lines there are of each of `KINDS`."""
+    return Counter(KINDS[1] if claim.verdict.startswith("depends") else claim.verdict for claim in claims)
+
+
 def stored_claims(paper: str, claims: Sequence[Claim], settings: str, complete: bool) -> str:
-    """The claims of a paper as JSON, for the page of all papers; `read_claims` reads it."""
+    """The claims of a paper as JSON, which `claimspage.read_claims` reads."""
     rows = [claim._asdict() for claim in claims]
     return json.dumps({"paper": paper, "settings": settings, "complete": complete, "claims": rows}, indent=1) + "\n"

@@ -22,11 +22,10 @@ from urllib.parse import quote
 from plants.errors import StoreError
 from plants.files import usable
 from plants.outcome import report
-from plants.outcome.claims import DRAWN, LEFT_OUT
+from plants.outcome.claims import KINDS, LEFT_OUT, counted
 from plants.outcome.study import written
 
-KINDS = ("holds", "depends", "does not hold", "not decided", "not measured", DRAWN, LEFT_OUT)
-HEADERS = ("paper", "lines", *(kind if kind != "depends" else "depends on something" for kind in KINDS))
+HEADERS = ("paper", "lines", *KINDS)
 LARGEST = 10_000_000  # bytes of a file of claims
 NAME = "claims.json"
 
@@ -39,10 +38,6 @@ class Claims(NamedTuple):
     complete: bool
     claims: list[report.Claim]
     folder: Path
-
-    def counted(self) -> Counter[str]:
-        """How many lines of each kind."""
-        return Counter("depends" if c.verdict.startswith("depends") else c.verdict for c in self.claims)
 
 
 def read_claims(path: Path) -> Claims:
@@ -80,7 +75,7 @@ def claims_page(found: Sequence[Claims], folder: Path) -> tuple[str, str]:
     """The page, and its table of counts for the terminal; `folder` is where it will be, for its links."""
     ordered = sorted(found, key=lambda c: c.paper)
     papers = {paper: list(group) for paper, group in groupby(ordered, key=lambda c: c.paper)}
-    counts = {paper: sum((c.counted() for c in group), Counter()) for paper, group in papers.items()}
+    counts = {paper: sum((counted(c.claims) for c in group), Counter()) for paper, group in papers.items()}
     total = sum(counts.values(), Counter())
     rows = [
         (paper, str(n.total()), *(str(n[kind]) for kind in KINDS)) for paper, n in [*counts.items(), ("all", total)]
@@ -97,7 +92,7 @@ def claims_page(found: Sequence[Claims], folder: Path) -> tuple[str, str]:
         ["A rule, printed below each figure, decides every verdict; intervals are of 95 %."],
         highlights=[
             (f"{total['holds']} of {judged}", "claims hold"),
-            (f"{total['depends']} of {judged}", "depend on something"),
+            (f"{total[KINDS[1]]} of {judged}", "depend on something"),
             (f"{total['does not hold']} of {judged}", "do not hold"),
             (f"{total[LEFT_OUT]}", "lines without a counterpart, with the reason"),
         ],

@@ -30,7 +30,7 @@ from matplotlib.figure import Figure
 from plants.errors import EngineError, StoreError
 from plants.files import usable, write_atomically
 from plants.outcome import report
-from plants.outcome.claims import Statement, judged, stored_claims
+from plants.outcome.claims import Statement, counted, judged, stored_claims
 from plants.outcome.claims import either as either
 from plants.outcome.inline import csv
 from plants.simulation import campaign
@@ -297,7 +297,10 @@ def conclude(
         print(r)
     for claim in claims:
         print(f"{claim.text}\n  {claim.verdict.upper()}: {claim.measured}")
-    for text in (*findings, summary):
+    lines = counted([*claims, *counterparts])
+    told = ", ".join(f"{kind} {number}" for kind, number in lines.most_common())
+    count = f"{paper or title}: {lines.total()} lines of tables, figures and claims: {told}"
+    for text in (*findings, count, summary):
         print(f"\n{text}" if text else "")
     own = [drawings("At a glance", [first])] if first else []
     if requirements:
@@ -308,7 +311,7 @@ def conclude(
         own.append(report.Section("What the paper does not say", "".join(map(report.paragraph, findings))))
     if cards:
         own.append(report.Section("Controllers", report.cards(cards)))
-    foot = [*provenance(settings, study, packages), *notes]
+    foot = [*provenance(settings, study, packages), count, *notes]
     marks = highlights(requirements, claims)
     if abbreviations:
         sections = [*sections, report.Section("Abbreviations", report.definitions(abbreviations))]
