@@ -18,7 +18,10 @@ from plants.outcome.indices import error
 def indices_figure(found: Any) -> Figure:
     """Every run's indices, worst axis, against the requirements, for all configurations flown."""
     done = {n: c for n, c in found.campaigns.items() if c.results is not None}
-    values = {index: np.array([worst(c.results, key) for c in done.values()]) for index, key in INDICES.items()}
+    values = {index: np.full((len(done), max(len(c.index) for c in done.values())), np.nan) for index in INDICES}
+    for row, c in enumerate(done.values()):
+        for index, key in INDICES.items():
+            values[index][row, : len(c.index)] = worst(c.results, key)
     return figures.levels(list(done), values, BOUNDS, "deg")
 
 

@@ -88,7 +88,7 @@ def test_files_and_report(flown):
     assert design.plant.units["Tx"] == "N m"
     assert {p.name for p in out.iterdir()} == {
         "hinf.json", "hinf.mat", "mpc_velocity.json", "mpc_velocity.mat", "mpc_position.json", "mpc_position.mat",
-        "report.html", "indices.png", "runs", "claims.json", "hinf.c", "hinf.h",
+        "report.html", "indices.png", "runs", "claims.json", "figures", "hinf.c", "hinf.h",
     }  # fmt: skip
     assert json.loads((out / "mpc_position.json").read_text())["form"] == "position"
     page = (out / "report.html").read_text()
