@@ -200,3 +200,15 @@ def mentions(line, kind, number):
         if int(first) <= number <= int(last or first):
             return True
     return False
+
+
+def test_configurations_with_fewer_runs_are_compared_and_drawn():
+    """An MPC is flown as often as its intervals need; pairs are those runs that both have."""
+    found = SimpleNamespace(campaigns=campaigns(EKF_MPC_velocity={"scale": 0.2}))
+    short = found.campaigns["EKF + MPC velocity"]
+    short.results, short.index = measured(np.random.default_rng(3), study.FEW, scale=0.2), np.arange(study.FEW)
+    assert study.indices_figure(found).axes
+    pair = [claims.worst(found.campaigns[name].results, "ape") for name in ("EKF + MPC velocity", "EKF + Hinf")]
+    assert claims.compared(*pair).runs == claims.compared(*pair[::-1]).runs == study.FEW
+    assert claims.MEETS.met(claims.share(np.ones(study.FEW, bool)))
+    assert not claims.MEETS.met(claims.share(np.ones(study.FEW - 1, bool)))
