@@ -79,7 +79,7 @@ def explored(start: Boxes, holds: Test, most: int, refutes: Callable[[Boxes], tu
             )  # fmt: skip
         open_ = ~holds(batch)
         axes = np.full(len(open_), -1)
-        axes[open_] = _most_bent(batch.some(open_))
+        axes[open_] = _dearest(batch.some(open_))
         if total > most or (axes[open_] < 0).any() or batch.width.min() < 2.0**-45:
             return Outcome(False, script, total, left=batch.some(open_))
         script.append("".join(AXES[a] if a >= 0 else DONE for a in axes))
@@ -109,22 +109,32 @@ def _batches(boxes: Boxes) -> Iterator[Boxes]:
         yield boxes.some(slice(at, at + size))
 
 
-def _most_bent(boxes: Boxes) -> np.ndarray:
+def _dearest(boxes: Boxes) -> np.ndarray:
     """The axis whose halving should help most; -1 where none would.
 
-    One component is least at a corner along an axis in which it is linear. The image of two is not convex where they
-    are only linear in each axis: mixed differences count too.
+    One component is least at a corner along straight lines: what counts is how far it is from one. Two may enclose zero
+    along straight lines too: what changes their angle counts as well.
     """
     V, count, axes = boxes.coefficients, len(boxes.low), boxes.low.shape[1]
-    bent = np.zeros((count, axes))
-    for a in range(axes):
-        slope = np.diff(V, axis=a + 2)
-        for b in range(axes) if V.shape[1] > 1 else (a,):
-            second = np.abs(np.diff(slope, axis=b + 2))
-            if second.size:
-                m = (V.shape[a + 2] - 1) * (V.shape[b + 2] - 1 - (a == b)) / 8
-                bent[:, a] = np.maximum(bent[:, a], second.reshape(count, -1).max(axis=1) * m)
-    return np.where(bent.max(axis=1, initial=0.0) > 0, bent.argmax(axis=1), -1)
+    if not count:
+        return np.zeros(0, int)
+    cost = _changes(V, 2)
+    if V.shape[1] == 2:
+        mean = V.reshape(count, 2, -1).mean(axis=2)
+        mean = (mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300)).reshape(count, 2, *[1] * axes)
+        cost += _changes((mean[:, 0] * V[:, 1] - mean[:, 1] * V[:, 0])[:, None], 1)
+    return np.where(cost.max(axis=1) > 0, cost.argmax(axis=1), -1)
+
+
+def _changes(V: np.ndarray, order: int) -> np.ndarray:
+    """Largest differences along every axis, as many times as a derivative has them, (boxes, axes)."""
+    found = np.zeros((len(V), V.ndim - 2))
+    for axis in range(V.ndim - 2):
+        m = V.shape[axis + 2] - 1
+        if m >= order:
+            differences = np.abs(np.diff(V, order, axis=axis + 2)).reshape(len(V), -1).max(axis=1)
+            found[:, axis] = differences * (m if order == 1 else m * (m - 1) / 8)
+    return found
 
 
 def _halves(boxes: Boxes, axes: np.ndarray) -> Boxes:
