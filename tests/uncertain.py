@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from literature import cubesat_pecorilla2024
 
 from synth import UncertainSystem, series, system, ureal
 
@@ -59,6 +60,24 @@ def two_masses() -> UncertainSystem:
     A = [[0, 0, 1, 0], [0, 0, 0, 1], [-k, k, 0, 0], [k, -k, 0, 0]]
     lead = system([1, 1], [0.001, 1])
     return series(100 * lead * lead * lead, UncertainSystem(E, A, [0, 0, 1, 0], [0, 1, 0, 0])).feedback(1)
+
+
+def cubesat(percentage: float) -> UncertainSystem:
+    """The sampled CubeSat of `literature`, 15 + 3 inputs and 9 + 6 outputs, with an uncertain inertia about every axis.
+
+    The hold of a rigid body is exact: what torques do in a period is divided by the inertia, and so are the small
+    torques of the orbit, which stay those of the nominal body.
+    """
+    P = cubesat_pecorilla2024()
+    moments = (0.0546, 0.0546, 0.0074)  # kg m^2
+    E, A = np.eye(6).astype(object), P.A.astype(object)
+    for k, (axis, moment) in enumerate(zip("xyz", moments, strict=True)):
+        ratio = ureal(f"I{axis}", moment, percentage=percentage) * (1 / moment)
+        E[k, k] = E[3 + k, 3 + k] = ratio
+        A[k] = A[k] * ratio
+        A[3 + k, 3 + k] = A[3 + k, 3 + k] + (ratio - 1)
+    D = np.block([[P.D11, P.D12], [P.D21, P.D22]])
+    return UncertainSystem(E, A, np.hstack([P.B1, P.B2]), np.vstack([P.C1, P.C2]), D, P.dt)
 
 
 def random_loop(seed: int) -> UncertainSystem:

@@ -17,7 +17,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from fractions import Fraction
+from typing import Any, overload
 
 import numpy as np
 import scipy.linalg as sla
@@ -27,6 +28,7 @@ from synth.errors import ModelError
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.realization import Matrices, rescaled, state_scales
 from synth.systems.statespace import StateSpace, as_system
+from synth.systems.uncertain import UncertainSystem, algebraic, eye, zeros
 
 ILL_CONDITIONED = 1e14  # of rate I - A, balanced: the rate is a pole to rounding
 APART = 0.25  # relative distance of a rate from every pole
@@ -35,13 +37,18 @@ MOVED = 1e-2  # relative distance from every pole of the plant from which on a p
 INDEPENDENT = 1e-2  # smallest singular value of D12, its columns of length one, with which every control is weighed
 
 
+@overload
+def c2d(G: UncertainSystem, dt: float, method: str = "zoh") -> UncertainSystem: ...
+@overload
+def c2d(G: Any, dt: float, method: str = "zoh") -> StateSpace: ...
 @numerical
-def c2d(G: Any, dt: float, method: str = "zoh") -> StateSpace:
+def c2d(G: Any, dt: float, method: str = "zoh") -> Any:
     """Continuous to discrete: `"zoh"` exact hold equivalent, `"tustin"` bilinear.
 
     Parameters
     ----------
-    G : continuous system, in any form that `system` takes
+    G : continuous system, in any form that `system` takes, or an uncertain one, whose `"tustin"` is exact in the
+        parameters; its hold equivalent is no polynomial in them
     dt : sampling time in seconds, positive
     method : "zoh" or "tustin"
 
@@ -49,11 +56,13 @@ def c2d(G: Any, dt: float, method: str = "zoh") -> StateSpace:
     ------
     ModelError : G is no system or is discrete already, dt is not positive.
     """
-    G = as_system("G", G)
+    G = G if isinstance(G, UncertainSystem) else as_system("G", G)
     if G.discrete:
         raise ModelError(f"the system G is already discrete ({timebase_told(G.dt)}); c2d takes a continuous one")
     dt = as_period(dt)
     as_choice("method", method, ("zoh", "tustin"))
+    if isinstance(G, UncertainSystem):
+        return _uncertain_tustin(G, dt, method)
     if G.n == 0:
         return replace(G, dt=dt)
     if method == "zoh":
@@ -66,6 +75,29 @@ def c2d(G: Any, dt: float, method: str = "zoh") -> StateSpace:
             f"dt is {dt:g} s and 2/dt = {2 / dt:g} rad/s is a pole of the system, which Tustin's map sends to "
             "infinity; pass another dt, or method='zoh'"
         ) from None
+
+
+def _uncertain_tustin(G: UncertainSystem, dt: float, method: str) -> UncertainSystem:
+    """Tustin's map without an inverse: (2/dt) E (q - x) = A (q + x) + B u with x+ = q, an algebraic state."""
+    if method == "zoh":
+        raise ModelError(
+            "method is 'zoh', and the hold equivalent of an uncertain system is no polynomial in its parameters; pass "
+            "method='tustin', which is exact, or sample G.at(values)"
+        )
+    fixed = algebraic(G.E)
+    E, A = G.E * (2 / Fraction(dt)), G.A
+    x, a = np.flatnonzero(~fixed), np.flatnonzero(fixed)
+    k, n = len(x), G.n + len(x)
+    first, held, own = range(k), range(k, 2 * k), range(2 * k, n)
+    Ed, Ad, Bd, Cd = zeros(n, n), zeros(n, n), zeros(n, G.nu), zeros(G.ny, n)
+    Ed[np.ix_(first, first)] = Ad[np.ix_(first, held)] = eye(k)
+    Ad[np.ix_(held, first)], Ad[np.ix_(held, held)] = (A + E)[np.ix_(x, x)], (A - E)[np.ix_(x, x)]
+    Ad[np.ix_(held, own)], Ad[np.ix_(own, own)] = A[np.ix_(x, a)], A[np.ix_(a, a)]
+    Ad[np.ix_(own, first)] = Ad[np.ix_(own, held)] = A[np.ix_(a, x)]
+    Bd[held], Bd[own] = G.B[x], G.B[a]
+    Cd[:, first] = Cd[:, held] = G.C[:, x]
+    Cd[:, own] = G.C[:, a]
+    return UncertainSystem(Ed, Ad, Bd, Cd, G.D, dt, G.u, G.y)
 
 
 def cayley(G: StateSpace, rate: float, dt: float = 1.0) -> StateSpace:

@@ -11,7 +11,8 @@ import pytest
 from flint import fmpq, fmpq_poly
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from uncertain import de_gaston_safonov, flexible_satellite, random_loop, two_masses
+from literature import cubesat_pecorilla2024
+from uncertain import cubesat, de_gaston_safonov, flexible_satellite, random_loop, two_masses
 
 import synth
 from synth import ModelError, UncertainSystem, VerificationError, robstab, stability_margin, ureal, wcgain, worst_gain
@@ -57,6 +58,17 @@ def test_the_flexible_satellite(percentage, modes, channels, sampled):
     assert not r.note
     assert synth.hinfnorm(G.at(r.parameters))[0] == pytest.approx(r.norm)
     r.certificate.check(G)
+
+
+@pytest.mark.parametrize("percentage", [10, pytest.param(30, marks=pytest.mark.slow)])
+def test_many_channels(percentage):
+    """The CubeSat's design of 15 x 9 channels over its inertia box, sampled."""
+    design = synth.hinfsyn(cubesat_pecorilla2024(), method="riccati")
+    loop = cubesat(percentage).close(design)
+    r = worst_gain(loop)
+    assert design.gamma < r.lower < r.upper < r.lower * (1 + 2e-5)
+    assert r.norm == pytest.approx(r.lower, rel=1e-6)
+    assert max(synth.hinfnorm(H)[0] for _, H in loop.gridded(2)) < r.upper
 
 
 def test_a_design_that_is_unstable_in_its_box_is_refuted_with_the_parameters():
@@ -156,6 +168,14 @@ def test_algebraic_loops_and_the_gain_at_infinity():
     high = worst_gain(UncertainSystem(A=-1.0, B=-0.1 * b, C=1.0, D=a))  # largest where the frequency is
     assert 0.6 * (1 - 1e-4) < high.lower < 0.6 < high.upper < 0.6 * (1 + 1e-4)
     assert stability_margin(L).upper == pytest.approx(0.4 / 0.11)
+
+
+def test_tustins_map_keeps_gains_and_margins():
+    G = flexible_satellite(20)
+    H = synth.c2d(G, 0.1, "tustin")
+    assert worst_gain(H).lower == pytest.approx(worst_gain(G).lower, rel=1e-9)
+    assert worst_gain(H).gap < 1.1e-5
+    assert stability_margin(H).upper == pytest.approx(stability_margin(G).upper, rel=1e-6)
 
 
 def test_a_mass_that_may_vanish_ends_stability():

@@ -139,3 +139,17 @@ def test_samples_and_grids():
     assert {v["b"] for v, _ in grid} == {-0.6, -0.25, 0.1}
     with pytest.raises(ModelError, match="points"):
         G.gridded(1000)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_tustins_map_is_exact_in_the_parameters(seed):
+    G = random_system(seed)
+    for H in (G, G.feedback(0.3)):  # with algebraic states
+        found = synth.c2d(H, 0.2, "tustin")
+        for v in points(H):
+            expected = synth.c2d(H.at(v), 0.2, "tustin")
+            np.testing.assert_allclose(response(found.at(v)), response(expected), rtol=1e-9, atol=1e-11)
+            poles = np.sort_complex(found.at(v).poles())
+            np.testing.assert_allclose(poles, np.sort_complex(expected.poles()), rtol=1e-8)
+    with pytest.raises(ModelError, match="tustin"):
+        synth.c2d(G, 0.2)
