@@ -38,7 +38,7 @@ MATRICES = ("E", "A", "B", "C", "D")
 PARTS = ("name", "nominal", "low", "high")  # of a parameter
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class BoxCertificate:
     """What was proved about a loop on a box of parameters, with all that is needed to prove it again."""
 
@@ -51,6 +51,9 @@ class BoxCertificate:
     bits: int  # precision of the ball arithmetic
     edges: tuple[float, ...]  # of the pieces of frequency, rad/s or tan(omega dt / 2)
     script: tuple[str, ...]  # of halvings
+
+    def __repr__(self) -> str:
+        return f"BoxCertificate({self.statement})"
 
     @property
     def statement(self) -> str:

@@ -33,6 +33,7 @@ WORK = 500_000_000  # coefficients on the boxes of a proof
 WIDER = 10.0  # times as far from what was found, where a level is not proved
 WIDEST = 60.0  # relative distance beyond which no level is tried
 TRIES = 30  # levels
+FEW = 16  # part of the boxes after which a worse point is looked for first
 NEWS = 1e-2  # part of tol by which a worse point changes the level
 PIECES, PER_DECADE = 40, 10  # of frequency
 BEYOND = 8.0  # times the fastest pole, and below the slowest
@@ -43,7 +44,7 @@ NEAREST, HALVINGS = 1e-13, 50  # relative, of the exact boundary of stability on
 SHIFTED = (1.0, 1.0293, 1.0719)  # of the pieces of frequency, where a node meets a pole
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class WorstCase:
     """Bounds on what can happen in a box of parameters.
 
@@ -67,7 +68,7 @@ class WorstCase:
         """Relative distance of the bounds, upper / lower - 1."""
         return self.upper / self.lower - 1 if self.lower > 0 and np.isfinite(self.upper) else np.inf
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         at = ", ".join(f"{name} = {value:.9g}" for name, value in self.parameters.items())
         pole = None if self.eigenvalue is None else f"{self.eigenvalue:.6g}"
         if self.quantity == GAIN:
@@ -161,18 +162,21 @@ def stability_margin(loop: Any, controller: Any = None, *, tol: float = 1e-5, bo
     if not robust.fits(pencil, size, bordered=False):
         return _margin(ask, N, worst, None, _too_large(pencil, size, bordered=False))
     most, distance, outcome, proof = ask.most(size), ask.tol, None, None
+    few = most // FEW
     for _ in range(TRIES):
         found = search.FARTHEST if worst is None else float(np.abs(worst).max())
         level = found if worst is None and distance == ask.tol else found / (1 + distance)
         larger = Pencil.of(ask.G, ask.box, Fraction(level))
         edges, bits, start = _accurate(N, larger, robust.stability_pieces)
-        outcome = explored(start, robust.excludes_zero, most, lambda _: None)
+        outcome = explored(start, robust.excludes_zero, few, lambda _: None)
         if outcome.proved:
             proof = Proof(level, bits, edges, outcome)
             break
         nearer = _nearest(pencil, N, _doubtful(outcome, N, edges, level)[0])
         if nearer is not None and np.abs(nearer).max() < found * (1 - NEWS * ask.tol):
-            worst = nearer
+            worst, few = nearer, most // FEW
+        elif few < most:  # nothing worse is in the boxes that are left: more of them may tell
+            few = most
         else:
             distance *= WIDER
         if distance > WIDEST:
@@ -215,6 +219,8 @@ def _asked(loop: Any, controller: Any, tol: Any, boxes: Any) -> Asked:
             raise ModelError(f"controller: {error}") from None
     if not loop.parameters:
         raise ModelError("loop has no uncertain parameters; hinfnorm measures certain systems, certify proves designs")
+    if not Pencil.of(loop, tuple(loop.parameters.values())).order:
+        raise ModelError("loop has no states that move; the gain of a matrix needs no proof of stability")
     tol = as_number("tol", tol, "a relative distance from 1e-9 to 1", least=1e-9)
     if tol > 1:
         raise ModelError(f"tol is {tol:g}; pass a relative distance from 1e-9 to 1")
@@ -340,7 +346,7 @@ def _too_large(pencil: Pencil, size: int, *, bordered: bool) -> str:
 def _note(what: str, most: int, outcome: Outcome | None, proof: Proof | None, *, wide: bool) -> str:
     """Why the bounds are not as near as they were asked for, and what would help."""
     if proof:
-        return f"levels nearer to the one found were not decided with {most} boxes" if wide else ""
+        return f"levels nearer to the one found were left undecided by at most {most} boxes in doubles" if wide else ""
     left = 0 if outcome is None or outcome.left is None else len(outcome.left.low)
     return (
         f"{what} was not proved: {left} boxes were left undecided of {most}, and no unstable point was found in them; "
@@ -356,7 +362,8 @@ def _gain(ask: Asked, peak: search.Peak, proof: Proof | None, note: str) -> Wors
     tries = [peak.w, float(np.tan(omega * G.dt / 2)) if G.discrete else omega]
     bits = proof.bits if proof else BITS[0]
     lower, w = max((float(gain_at(pencil, point, w, bits).lower()) * (1 - SAFE), w) for w in tries if np.isfinite(w))
-    certificate = proof and _certificate(ask, GAIN, proof, max(lower, 0.0), point, w)
+    claimed = (lower, point, w) if lower > 0 else (0.0, {}, 0.0)
+    certificate = proof and _certificate(ask, GAIN, proof, *claimed)
     return WorstCase(
         quantity=GAIN, lower=lower, upper=proof.level if proof else np.inf, parameters=point,
         frequency=float(2 * np.arctan(w) / G.dt) if G.discrete else w, eigenvalue=None, norm=norm, note=note,

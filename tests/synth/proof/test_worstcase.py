@@ -185,6 +185,32 @@ def test_a_mass_that_may_vanish_ends_stability():
     assert r.gap < 1e-4
 
 
+@pytest.mark.parametrize("half", [1e-2, 1e-3])
+def test_a_narrow_island_of_instability_is_found(half):
+    """Damping that is negative in a small part of the range, where no sample is."""
+    p = ureal("p", 0.5, range=(0, 1))
+    G = UncertainSystem(A=[[0, 1], [-1, half**2 - (p - 0.37) ** 2]], B=[0, 1], C=[1, 0])
+    r = worst_gain(G)
+    assert r.lower == np.inf
+    assert abs(r.parameters["p"] - 0.37) <= half
+    m = stability_margin(G)
+    assert m.upper == pytest.approx((0.5 - 0.37 - half) / 0.5)
+    assert m.gap < 2e-5
+
+
+def test_loops_at_the_edge_of_what_there_is():
+    q = ureal("q", 1.0, range=(1.0, 2.0))  # one-sided
+    r = worst_gain(UncertainSystem(A=-q, B=1.0, C=1.0))
+    assert (r.lower, r.frequency) == (pytest.approx(1.0), 0.0)
+    nothing = worst_gain(UncertainSystem(A=-q, B=0.0, C=1.0))
+    assert (nothing.lower, nothing.upper < 1e-100) == (0.0, True)
+    nothing.certificate.check()
+    undamped = worst_gain(UncertainSystem(A=[[0, 1], [-q, 0]], B=[0, 1], C=[1, 0]))
+    assert (undamped.lower, undamped.eigenvalue, undamped.certificate) == (np.inf, 1j, None)
+    with pytest.raises(ModelError, match="no states"):
+        worst_gain(UncertainSystem(A=np.zeros((0, 0)), B=np.zeros((0, 1)), C=np.zeros((1, 0)), D=[[q]]))
+
+
 def test_nothing_unstable_up_to_a_hundred_times_the_box():
     k = ureal("k", 1.0, range=(0.9, 1.1))
     r = stability_margin(UncertainSystem(A=-1.0, B=k, C=k))
