@@ -37,13 +37,15 @@ from synth.proof.pencils import Pencil, along, bernstein_of, on_unit, rational
 MIDPOINT = 2.0**-51  # relative error of a midpoint as a double, with room
 MOST_COEFFICIENTS = 300_000  # of a polynomial on a box
 TINY, HUGE = 1e-200, 1e200
+UNDERFLOW = 1e-300  # what powers of a level may have lost
 
 
 class Pieces(NamedTuple):
-    """Polynomials on every piece of frequencies, each times the powers of g^2 for a gain."""
+    """Polynomials on every piece of frequencies; of a gain those times the powers of (g / 2^exponent)^2."""
 
     coefficients: np.ndarray  # (pieces, components, n + 1, 2 r1 + 1, ...)
     errors: np.ndarray  # (pieces, components)
+    exponent: int = 0  # of a gain of the loop's size
 
 
 def size_of_gain(pencil: Pencil) -> int:
@@ -79,20 +81,23 @@ def gain_pieces(pencil: Pencil, edges: Sequence[float], bits: int) -> Pieces:
         for axis, Q in enumerate([*finer, up]):
             real, imaginary = along(real, axis + 1, Q), along(imaginary, axis + 1, Q)
         h = _gain_values(real, imaginary * np.array([arb(w) for w in fine], object), pencil.sizes[1:])
+        exponent = _unit(h)
+        h = h * np.array([arb(2) ** (2 * k * exponent) for k in range(len(h))]).reshape(-1, *[1] * (h.ndim - 1))
         for axis, k in enumerate(r):
             h = along(h, axis + 1, bernstein_of(on_unit(2 * k), 2 * k).inv())
-        return _on_pieces(h, [w * w for w in fine], edges, n)
+        return _on_pieces(h, [w * w for w in fine], edges, n)._replace(exponent=exponent)
 
 
 def at_level(pieces: Pieces, level: float) -> Boxes:
     """The polynomial h of a level, in doubles with a bound on the error."""
-    powers = np.array([(level * level) ** k for k in range(pieces.coefficients.shape[1])])
+    g = math.ldexp(level, -pieces.exponent)
+    powers = np.array([(g * g) ** k for k in range(pieces.coefficients.shape[1])])
     rounded = np.array([(2 * k + 4) * ROUNDING for k in range(len(powers))])  # of the power, the product and the sum
     shape = pieces.coefficients.shape
     size = np.abs(pieces.coefficients).reshape(*shape[:2], -1).max(axis=2)
     errors = (powers * (pieces.errors * (1 + 1e-9) + size * (rounded + len(powers) * ROUNDING))).sum(axis=1)
     h = np.tensordot(pieces.coefficients, powers, axes=(1, 0))
-    return _first(h[:, None], errors[:, None] * (1 + 1e-9))
+    return _first(h[:, None], errors[:, None] * (1 + 1e-9) + UNDERFLOW)
 
 
 def stability_pieces(pencil: Pencil, edges: Sequence[float], bits: int) -> Boxes:
@@ -110,7 +115,7 @@ def stability_pieces(pencil: Pencil, edges: Sequence[float], bits: int) -> Boxes
             for axis, k in enumerate(r):
                 values = along(values, axis + 1, bernstein_of(on_unit(k), k).inv())
             found.append(_on_pieces(values, u, edges, degree, apart=True))
-        (V, e), (W, f) = found
+        (V, e, _), (W, f, _) = found
         return _first(np.concatenate([V[:-1], W[-1:]]), np.concatenate([e[:-1], f[-1:]]))
 
 
@@ -225,6 +230,14 @@ def _doubles(values: np.ndarray, *, apart: bool) -> tuple[np.ndarray, np.ndarray
         raise ZeroDivisionError("a node of the interpolation could be a pole")
     scale = 2.0 ** -math.frexp(largest)[1] if largest else 1.0
     return (middle * scale).reshape(values.shape), (radius * scale).reshape(values.shape)
+
+
+def _unit(h: np.ndarray) -> int:
+    """Exponent of two of a gain about as large as the loop's: the root of the ratio of |N|^2 and |p|^2."""
+    tops = [
+        max((_exponent(x.mid().man_exp()) for x in part.flat if not x.contains(0)), default=None) for part in h[-2:]
+    ]
+    return 0 if tops[0] is None or tops[1] is None else (tops[0] - tops[1]) // 2
 
 
 def _exponent(x: tuple) -> int:

@@ -8,7 +8,7 @@ What is not proved is never called unstable: unstable is a point whose poles are
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, NamedTuple
 
@@ -358,7 +358,8 @@ def _gain(ask: Asked, peak: search.Peak, proof: Proof | None, note: str) -> Wors
     """The result, with the norm measured again where the gain is largest."""
     G, pencil = ask.G, Pencil.of(ask.G, ask.box)
     point = _named(ask, peak.values)
-    norm, omega = hinfnorm(G.at(point))
+    H, unit = G.at(point), 2.0 ** round(np.log2(peak.gain)) if peak.gain > NOTHING else 1.0
+    norm, omega = hinfnorm(replace(H, C=H.C / unit, D=H.D / unit))
     tries = [peak.w, float(np.tan(omega * G.dt / 2)) if G.discrete else omega]
     bits = proof.bits if proof else BITS[0]
     lower, w = max((float(gain_at(pencil, point, w, bits).lower()) * (1 - SAFE), w) for w in tries if np.isfinite(w))
@@ -366,7 +367,7 @@ def _gain(ask: Asked, peak: search.Peak, proof: Proof | None, note: str) -> Wors
     certificate = proof and _certificate(ask, GAIN, proof, *claimed)
     return WorstCase(
         quantity=GAIN, lower=lower, upper=proof.level if proof else np.inf, parameters=point,
-        frequency=float(2 * np.arctan(w) / G.dt) if G.discrete else w, eigenvalue=None, norm=norm, note=note,
+        frequency=float(2 * np.arctan(w) / G.dt) if G.discrete else w, eigenvalue=None, norm=norm * unit, note=note,
         boxes=proof.outcome.boxes if proof else 0, certificate=certificate,
     )  # fmt: skip
 

@@ -156,6 +156,15 @@ def test_units_do_not_matter(seed, of_signals, of_time, of_states):
     assert stability_margin(H).lower == pytest.approx(stability_margin(G).lower, rel=1e-4)
 
 
+@pytest.mark.parametrize("unit", [1e-60, 1e30])
+def test_gains_of_any_size(unit):
+    """Several channels, so that powers of the level would leave the doubles."""
+    G = flexible_satellite(20, channels=2)
+    r = worst_gain(UncertainSystem(G.E, G.A, G.B, G.C * unit, G.D * unit))
+    assert r.upper / unit == pytest.approx(worst_gain(G).upper, rel=1e-6)
+    assert r.gap < 1.1e-5
+
+
 def test_algebraic_loops_and_the_gain_at_infinity():
     a, b = ureal("a", 0.5, percentage=20), ureal("b", 1.0, percentage=10)
     G = UncertainSystem(A=-1.0, B=0.1 * b, C=1.0, D=a)  # a + 0.1 b/(s + 1)
