@@ -63,7 +63,8 @@ def test_qualitative_findings(flown):
     settled = {name: s.campaigns[name].results.settling_time < s.window for name in study.SVD_MPC}
     assert settled[study.SVD_MPC[1]].all()
     assert settled[study.SVD_MPC[0]].mean() < 0.5  # of six runs, which is too few to decide
-    assert "the form of the MPC" in verdicts["EKF + MPC has the worst PSE"]
+    assert pse[study.MPC[1]] < 0.6 * pse[study.SVD_HINF]  # so not every form has the worst PSE
+    assert verdicts["EKF + MPC has the worst PSE"] != "holds"  # six runs do not decide on the other form, 31 do
     assert "not measured" not in verdicts.values()
 
 
