@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -19,7 +20,7 @@ FIELDS = ["noise", "boresight", "half_angle", "misalignment", "period"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class DirectionSensor:
+class DirectionSensor(ABC):
     """Direction to something in a field of view. Build one with `create`, which checks the numbers.
 
     A kind of it says where the thing is and whether it can be seen.
@@ -57,9 +58,9 @@ class DirectionSensor:
             period=real("period", period, low=0),
         )
 
+    @abstractmethod
     def target(self, env: Any) -> Array:
         """Direction to what it looks for (3,), frame N."""
-        raise NotImplementedError
 
     def light(self, env: Any) -> ArrayLike:
         """Whether that can be seen from anywhere on the body, () 1 or 0."""
