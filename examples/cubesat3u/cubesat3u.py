@@ -81,8 +81,9 @@ WIDE = (HINF, PD, *MPC)  # with moments of inertia that are far off
 FILTERS, NIGHT = (HINF, PAPER_HINF, DIRECT), (HINF, DIRECT)
 KEPT = (" night", " moved")  # campaigns of which all trajectories are
 LONG = 500.0  # s, that a flight to another attitude takes
+MEMORY = 1 << 29  # bytes: so much holds `FEW` flights at once
 FEW = 17  # runs at most where no more are needed: if all of so many meet a requirement, a share of 80 % is decided
-BRIEF = {"": (*MPC, SVD_MPC[1]), " quiet": PAPER_MPC[1:], " wide": MPC}  # flown `FEW` times; a step of an MPC is dear
+BRIEF = {"": MPC, " wide": MPC}  # flown `FEW` times: a step of an MPC is dear, and so is a program of another width
 
 
 @dataclass
@@ -122,15 +123,18 @@ def fly(found: Study, runs: int, seed: int, duration: float) -> None:
         return Shared(environment, found.controllers[controller], known[navigator], periods)
 
     def options(name: str) -> dict[str, Any]:
-        return {"seed": seed, "progress": False, **study.stored(found.flying, name)}
+        return {"seed": seed, "progress": False, "memory": MEMORY, **study.stored(found.flying, name)}
 
-    def fly_all(into: dict[str, Campaign], names: Any, how: Any, of: Any, label: str = "", **more: Any) -> None:
+    def fly_all(
+        into: dict[str, Campaign], names: Any, how: Any, of: Any, label: str = "", varying: Any = (), **more: Any
+    ) -> None:
         for name in names:
             those = jax.tree.map(lambda part: part[:FEW], of) if name in BRIEF.get(label, ()) else of
             everything = (not label and name == PAPER_HINF) or label in KEPT
             flown = campaign(
                 how, those, shared(name, **more), measure=functools.partial(measure, start=found.window),
-                record=None if name.startswith("SVD") else ekf_record, read=applied if how is case else None,
+                record=None if name.startswith("SVD") else ekf_record, varying=varying,
+                read=applied if how is case else None,
                 keep=range(runs + 1) if everything else () if label else [0], **options(name + label),
             )  # fmt: skip
             into[name] = flown
@@ -148,7 +152,8 @@ def fly(found: Study, runs: int, seed: int, duration: float) -> None:
         fly_all(found.turned, TURNED, on_plane, (drawn, batch), " turned", environment=None)
         fly_all(found.quiet, QUIET, quiet, drawn, " quiet")
         fly_all(found.wide, WIDE, case, of_wide_inertia(drawn), " wide")
-        fly_all(found.again, FILTERS, case, Start(*(np.repeat(part[:1], runs + 1, axis=0) for part in drawn)), " again")
+        same = Start(*(np.repeat(part[:1], runs + 1, axis=0) for part in drawn))
+        fly_all(found.again, FILTERS, case, same, " again", varying=found.campaigns[HINF].varied)
         fly_all(found.night, NIGHT, case, drawn, " night", environment=into_night(duration))
         moved: dict[str, Campaign] = {}
         other = cubesat3u.environment(duration, moved_by=cubesat3u.perturbations())

@@ -12,7 +12,6 @@ from cubesat3u_claims import (
     INDICES,
     MOST,
     MPC,
-    PAPER_EKF,
     PAPER_HINF,
     PD,
     SVD_HINF,
@@ -29,6 +28,7 @@ from plants import (
     Consistency,
     Reading,
     Run,
+    Statement,
     Table,
     cubesat3u,
     drawn,
@@ -78,10 +78,18 @@ def filters(found: Any) -> Table:
     return Table("Consistency of the filters", headers, rows, note=note)
 
 
+def cases(statement: Statement) -> set[str]:
+    """What the readings of a claim are told apart by; nothing where its runs are missing."""
+    try:
+        return {reading.what for reading in statement.judge()}
+    except (KeyError, IndexError):
+        return set()
+
+
 def changed(found: Any) -> str:
-    """Which verdicts are others with our filter."""
-    paper, ours = (judged(statements(found, known)) for known in (PAPER_EKF, "EKF"))
-    pairs = [(a, b) for a, b in zip(paper, ours, strict=True) if "not measured" not in (a.verdict, b.verdict)]
+    """Which verdicts are others with our filter, of the claims that are read on the same cases with both."""
+    both = zip(statements(found), statements(found, "EKF"), strict=True)
+    pairs = [judged(pair) for pair in both if cases(pair[0]) and cases(pair[0]) == cases(pair[1])]
     other = [f"{a.text}: {b.verdict} instead of {a.verdict}" for a, b in pairs if a.verdict != b.verdict]
     same = (
         f"{len(pairs) - len(other)} of {len(pairs)} verdicts are the same with our filter in the place of the paper's"
@@ -155,19 +163,18 @@ def said(reading: Reading) -> str:
 
 def summary(found: Any) -> str:
     """Which to take: of those that meet table 1 in most runs the one that holds stillest, and what speaks for it."""
-    share = {
-        name: np.all([*passes(found.campaigns[name].results).values()], axis=0).mean()
-        for name in (HINF, PD, *MPC, SVD_HINF)
-        if name in found.campaigns
-    }
+    flown = {name: found.campaigns[name].results for name in (HINF, PD, *MPC, SVD_HINF) if name in found.campaigns}
+    runs = min((len(i.settling_time) for i in flown.values()), default=0)  # that all of them have
+    share = {name: np.all([*passes(i).values()], axis=0)[:runs].mean() for name, i in flown.items()}
     good = [name for name, met in share.items() if met >= MOST]
     if not good:
         return ""
-    still = {name: float(np.median(worst(found.campaigns[name].results, "pse"))) for name in good}
+    still = {name: float(np.median(worst(flown[name], "pse")[:runs])) for name in good}
     best = min(still, key=still.__getitem__)
     text = (
         f"Take {best}: of the {len(good)} configurations of {len(share)} that meet table 1 in at least {MOST:.0%} of "
-        f"the runs it holds stillest, {still[best]:.4f} deg in a second where {BOUNDS['PSE']:.2f} are allowed"
+        f"the same {runs} runs it holds stillest, {still[best]:.4f} deg in a second where {BOUNDS['PSE']:.2f} are "
+        "allowed"
     )
     others = [f"{name} {value:.4f}" for name, value in still.items() if name != best]
     return f"{text} ({', '.join(others)})." if others else f"{text}."

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from plants import Indices, Loop, Run, Scenario, attitude, cubesat3u, draw, indices, pointing_errors, stability
@@ -79,9 +80,15 @@ def case(start: Start, shared: Shared) -> tuple[Loop, Scenario]:
 def applied(loop: Loop, scenario: Scenario) -> Start:
     """The dispersion read back from the blocks that fly."""
     with jax.enable_x64(True):
-        y = np.asarray(loop.plant.output(scenario.initial, scenario.environment.at(0.0)))
-        q = np.concatenate([[np.sqrt(1 - y[:3] @ y[:3])], y[:3]])
-        return Start(np.diag(loop.plant.inertia), np.asarray(attitude.to_euler(q)), y[3:])
+        angles, rates = map(np.asarray, attitude_of(loop.plant, scenario.initial, scenario.environment))
+        return Start(np.diag(loop.plant.inertia), angles, rates)
+
+
+@jax.jit
+def attitude_of(plant: Any, x: Any, environment: Any) -> tuple[Any, Any]:
+    """Roll, pitch and yaw (3,) rad and rates (3,) rad/s at first, relative to frame O."""
+    y = plant.output(x, environment.at(0.0))
+    return attitude.to_euler(jnp.concatenate([jnp.sqrt(1 - y[:3] @ y[:3])[None], y[:3]])), y[3:]
 
 
 def quiet(start: Start, shared: Shared) -> tuple[Loop, Scenario]:

@@ -54,7 +54,8 @@ class Flights:
     seed: int
     keep: frozenset[int]
     compiled: bool
-    varying: frozenset[str]  # paths of numbers that get a lane each
+    varying: frozenset[str]  # paths of numbers that get a lane each, because they differ
+    apart: frozenset[str]  # and those that do so in any case
     lanes: int  # at most
     progress: bool = field(default=False, compare=False)
 
@@ -112,14 +113,14 @@ class Flights:
 
     def _beside(self, cases: list[Any], own: Collection[str]) -> list[Run]:
         """Runs of these cases."""
-        filled = [*cases, *[cases[-1]] * (self.lanes - len(cases))]  # one width, one compilation
         return simulate.simulate_many(
-            filled,
+            cases,
             compiled=self.compiled,
             record=self.record,
-            varying=self.varying | {*own, RUN_INDEX},
+            varying=self.varying | self.apart | {*own, RUN_INDEX},
+            lanes=self.lanes,
             progress=self.progress,
-        )[: len(cases)]
+        )
 
 
 def replay_case(case: Case, dispersed: Any, index: int, shared: Any = None, seed: int = 0) -> tuple[Loop, Scenario]:

@@ -6,6 +6,7 @@ another compilation. `field(metadata={"static": True})` puts a field of floats a
 """
 
 import dataclasses
+import functools
 import threading
 from collections.abc import Callable, Collection, Sequence
 from typing import Any, NamedTuple, TypeVar
@@ -16,6 +17,7 @@ import numpy as np
 from plants.errors import OpaqueError, ScenarioError
 
 T = TypeVar("T")
+KNOWN = 256  # outlines that a function remembers
 
 _registering = threading.Lock()  # JAX takes a class once, and threads fly at the same time
 
@@ -133,6 +135,42 @@ def stack(objects: Sequence[Any], varying: Collection[str] = ()) -> Stack:
         leaves.append(np.stack([_array(item) for item in column]))
         axes.append(0)
     return Stack(leaves, Form(structure, tuple(axes), len(objects)))
+
+
+def outline(tree: Any) -> Any:
+    """What shapes hang on: the structure of a pytree, and shape and type of its numbers; hashable if its program is.
+
+    Raises
+    ------
+    TypeError
+        If a leaf is no number.
+    """
+    leaves, structure = jax.tree.flatten(tree)
+    kinds = [leaf.dtype if hasattr(leaf, "dtype") else np.asarray(leaf).dtype for leaf in leaves]
+    if any(kind.kind not in "fiub" for kind in kinds):
+        raise TypeError("a leaf is no number")
+    return structure, tuple(zip(map(np.shape, leaves), kinds, strict=True))
+
+
+def remembered(function: Callable[..., T]) -> Callable[..., T]:
+    """function(tree, *static) of what hangs on the tree's outline alone: asked once for each. Failures are not kept."""
+    known: dict[Any, T] = {}
+
+    @functools.wraps(function)
+    def asked(tree: Any, *static: Any) -> T:
+        try:
+            key = outline(tree), static
+            hash(key)
+        except TypeError:  # something that is no number, or a program that cannot be told from others
+            return function(tree, *static)
+        if key not in known:
+            result = function(tree, *static)
+            if len(known) >= KNOWN:
+                known.clear()
+            known[key] = result
+        return known[key]
+
+    return asked
 
 
 def differing(objects: Sequence[Any]) -> set[str]:

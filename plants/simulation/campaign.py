@@ -7,7 +7,7 @@ fit into a given memory; what `measure` makes of a run is always kept, the run i
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -99,6 +99,7 @@ def campaign(
     processes: bool = False,
     scheduler: str | None = None,
     compiled: bool | None = None,
+    varying: Collection[str] = (),
     progress: bool = True,
     on_batch: Callable[[int], None] | None = None,
 ) -> Campaign:
@@ -129,6 +130,8 @@ def campaign(
         process that dies loses nothing. `case`, `shared`, `measure` must be picklable by cloudpickle.
     scheduler : address of a Dask scheduler whose workers fly, instead of this machine; needs the extra "dask"
     compiled : as in `simulate.simulate`
+    varying : paths of numbers to treat as different between runs even if they are not, so that this campaign flies the
+        compiled program of another one: give ``other.varied``
     progress : show a bar if it takes more than two seconds
     on_batch : called with the number of finished runs after every batch
 
@@ -153,7 +156,7 @@ def campaign(
         if not isinstance(value, int) or value < 1:
             raise ScenarioError(f"{name} = {value!r}: give a whole number of at least 1")
     hands = engines.check(workers, processes, scheduler)
-    flights, sampled = _flights(case, dispersed, shared, measure, read, record, seed, keep, compiled)
+    flights, sampled = _flights(case, dispersed, shared, measure, read, record, seed, keep, compiled, varying)
     if workers is None and scheduler is None and not (flights.compiled or processes):
         hands = 1  # threads that step Python take turns: two need half as long again as one
     if batch is None:
@@ -183,6 +186,7 @@ def replay(
     record: simulate.Record | None = None,
     seed: int = 0,
     compiled: bool | None = None,
+    varying: Collection[str] = (),
 ) -> Run:
     """Run `index` of a campaign with all its rows, bit for bit as it was flown; arguments as of `campaign`.
 
@@ -196,7 +200,7 @@ def replay(
     runs = count(dispersed)
     if isinstance(index, bool) or not isinstance(index, int | np.integer) or not 0 <= index < runs:
         raise ScenarioError(f"index = {index!r}: give a whole number from 0 to {runs - 1}")
-    flights, _ = _flights(case, dispersed, shared, lambda run: 0, None, record, seed, (), compiled)
+    flights, _ = _flights(case, dispersed, shared, lambda run: 0, None, record, seed, (), compiled, varying)
     return flights.one(int(index))
 
 
@@ -219,7 +223,16 @@ def count(dispersed: Any) -> int:
 
 
 def _flights(
-    case: Case, dispersed: Any, shared: Any, measure: Any, read: Any, record: Any, seed: int, keep: Any, compiled: Any
+    case: Case,
+    dispersed: Any,
+    shared: Any,
+    measure: Any,
+    read: Any,
+    record: Any,
+    seed: int,
+    keep: Any,
+    compiled: Any,
+    apart: Any,
 ) -> tuple[Flights, list[Any]]:
     """The work of a campaign, eight lanes wide, and the first cases, which were checked."""
     runs = count(dispersed)
@@ -228,9 +241,13 @@ def _flights(
     varying = varied(sampled, compiled)
     if not varying and blocks.differing([at(dispersed, index) for index in range(len(sampled))]):
         raise ScenarioError("dispersed: no number of loop or scenario varies with it; use d in case(d, shared)")
+    paths = {jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_flatten_with_path(sampled[0])[0]}
+    if unknown := sorted(set(apart) - paths):
+        raise ScenarioError(f"varying: no number {unknown[0]!r} in (loop, scenario); such as {min(paths)!r}")
     flights = Flights(
         case=case, dispersed=dispersed, shared=shared, measure=measure, read=read, record=record, seed=seed,
-        keep=frozenset(int(i) for i in keep), compiled=compiled, varying=varying, lanes=LANE,
+        keep=frozenset(int(i) for i in keep), compiled=compiled, varying=varying, apart=frozenset(apart),
+        lanes=LANE,
     )  # fmt: skip
     return flights, sampled
 

@@ -282,7 +282,15 @@ def _output(loop: Loop, scn: Scenario, env: Any) -> Any:
 
 def check_flow(loop: Loop, scn: Scenario, nu: tuple[int, ...]) -> None:
     """Raise `ScenarioError` if actuator, plant or navigator do not take what comes of a command of shape `nu`."""
-    x, env = jax.tree.map(jnp.asarray, scn.initial), env_at(scn, 0.0)
+    known = dataclasses.replace(loop, controller=None)  # pyright: ignore[reportArgumentType]
+    _check_flow((known, scn, env_at(scn, 0.0)), nu)
+
+
+@blocks.remembered
+def _check_flow(case: tuple[Loop, Scenario, Any], nu: tuple[int, ...]) -> None:
+    """`check_flow` of a loop without its controller, and what surrounds it at first."""
+    known, scn, env = case
+    x = jax.tree.map(jnp.asarray, scn.initial)
 
     def put(loop: Loop) -> Any:
         s = None if loop.actuator is None else loop.actuator.init()
@@ -298,23 +306,22 @@ def check_flow(loop: Loop, scn: Scenario, nu: tuple[int, ...]) -> None:
         y = sensors.measure(sensors.init(), x, env, jnp.zeros(sensors.channels), scn.h)[1]
         return navigator.update(navigator.init(), y, put(loop)[1], env, scn.h)
 
-    known = dataclasses.replace(loop, controller=None)  # pyright: ignore[reportArgumentType]
     what = f"command of shape {nu}"
-    _flows(loop.actuator, "apply", what, put, known)
-    rates = _flows(loop.plant, "derivative", what, move, known)
-    name = type(loop.plant).__name__
+    _flows(known.actuator, "apply", what, put, known)
+    rates = _flows(known.plant, "derivative", what, move, known)
+    name = type(known.plant).__name__
     shapes = [[leaf.shape for leaf in jax.tree.leaves(tree)] for tree in (rates, jax.eval_shape(lambda: x))]
     if jax.tree.structure(rates) != jax.tree.structure(x) or shapes[0] != shapes[1]:
         raise ScenarioError(
             f"initial does not fit the plant: {name}.derivative returns {jax.tree.structure(rates)} of shapes "
             f"{shapes[0]}, initial is {jax.tree.structure(x)} of {shapes[1]}"
         )
-    if loop.navigator is not None:
-        result = _flows(loop.navigator, "update", "measurement of these sensors", know, known)
-        estimate, wanted = result[1], jax.eval_shape(lambda: first_estimate(loop, scn)).shape
+    if known.navigator is not None:
+        result = _flows(known.navigator, "update", "measurement of these sensors", know, known)
+        estimate, wanted = result[1], jax.eval_shape(lambda: first_estimate(known, scn)).shape
         if getattr(estimate, "shape", None) != wanted:
             raise ScenarioError(
-                f"navigator: {type(loop.navigator).__name__}.update returns an estimate of shape "
+                f"navigator: {type(known.navigator).__name__}.update returns an estimate of shape "
                 f"{getattr(estimate, 'shape', None)}: {name} has outputs of shape {wanted}"
             )
 

@@ -78,6 +78,7 @@ def simulate_many(
     compiled: bool | None = None,
     record: Record | None = None,
     varying: Collection[str] = (),
+    lanes: int | None = None,
     progress: bool = True,
     on_compile: Callable[[], None] | None = None,
 ) -> list[Run]:
@@ -92,6 +93,9 @@ def simulate_many(
     varying : collection of str
         Paths of numbers to treat as different between lanes even if they are not, so that batches of a campaign
         share one compilation; see `blocks.differing`.
+    lanes : int, optional
+        Fly in so many lanes, the last case in those that are left over, so that batches of a campaign share one
+        compilation; by default, and at least, one for each case.
     compiled, record
         As in `simulate`.
     progress : bool
@@ -103,7 +107,7 @@ def simulate_many(
     if not cases:
         raise ScenarioError("cases: got none; give at least one (loop, scenario)")
     try:
-        return _fly_together(cases, compiled, record, varying, progress, on_compile)
+        return _fly_together(cases, compiled, record, varying, lanes or 0, progress, on_compile)
     except OpaqueError:
         if compiled:
             raise
@@ -121,6 +125,7 @@ def _fly_together(
     compiled: bool | None,
     record: Record | None,
     varying: Collection[str],
+    lanes: int,
     progress: bool,
     on_compile: Callable[[], None] | None,
 ) -> list[Run]:
@@ -137,7 +142,7 @@ def _fly_together(
             blocks.register(loop.controller)
             commands.shape(loop, scenario, compiled=True)
         flown = [pair if compiled else (dataclasses.replace(pair[0], controller=None), pair[1]) for pair in cases]
-        batch = blocks.stack(flown, varying)
+        batch = blocks.stack([*flown, *flown[-1:] * (lanes - len(flown))], varying)
         if compiled:
             end, memory, rows = jax.tree.map(np.asarray, _fly(*batch, record, on_compile=on_compile))
             memories = [jax.tree.map(lambda a, lane=lane: a[lane], memory) for lane in range(len(cases))]
@@ -181,13 +186,18 @@ def row_bytes(loop: Loop, scenario: Scenario, record: Record | None = None) -> i
     except OpaqueError:
         return stepped.row_bytes(loop, scenario, record)
     with jax.enable_x64(True):
-
-        def one(loop: Loop, scn: Scenario) -> Any:
-            return advance(loop, scn, record, launch(loop, scn, nu), jnp.zeros(nu), 0)[1]
-
-        rows = jax.eval_shape(one, dataclasses.replace(loop, controller=None), scenario)
-    period = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(rows))
+        period = _row((dataclasses.replace(loop, controller=None), scenario), nu, record)
     return period * scenario.rows * scenario.periods // (scenario.samples * scenario.keep_every)
+
+
+@blocks.remembered
+def _row(case: tuple[Loop, Scenario], nu: tuple[int, ...], record: Record | None) -> int:
+    """Memory that the rows of one period take, bytes."""
+
+    def one(loop: Loop, scn: Scenario) -> Any:
+        return advance(loop, scn, record, launch(loop, scn, nu), jnp.zeros(nu), 0)[1]
+
+    return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(jax.eval_shape(one, *case)))
 
 
 def _fly_each(leaves: Any, form: blocks.Form, record: Record | None) -> Any:
@@ -224,28 +234,29 @@ def _step_through(
     on_compile: Callable[[], None] | None,
 ) -> Any:
     """The Python loop: the controllers in turn, then one compiled period for all lanes."""
-    loop, scenario = cases[0]
+    (loop, scenario), count = cases[0], len(cases)
     nu = commands.shape(loop, scenario, compiled=False)
     leaves = jax.device_put(batch.leaves)
     w = _launch(leaves, batch.form, nu)
     controllers = [loop.controller for loop, _ in cases]
     tell = _teller(cases)
     memory = [commands.begin(controller) for controller in controllers]
-    issued, rows = np.zeros((len(cases), *nu)), []
+    issued, rows = np.zeros((batch.form.lanes, *nu)), []
     w, _ = _advance(leaves, batch.form, record, w, issued, np.int64(-1), on_compile=on_compile)
     advance_all = _advance.jitted
     for k in tqdm(range(scenario.periods), "periods", delay=2.0, disable=not progress, leave=False):
-        sound = np.asarray(w.culprit) == 0
+        sound = np.asarray(w.culprit)[:count] == 0
         if not sound.any():
             break
-        estimates, references = tell(np.asarray(w.estimate), k)
+        estimates, references = tell(np.asarray(w.estimate)[:count], k)
         for i, controller in enumerate(controllers):
             if sound[i]:
                 told = estimates[i], references[i]
                 memory[i], issued[i] = commands.step(controller, memory[i], *told, nu, k * scenario.dt)
+        issued[count:] = issued[count - 1]
         w, row = advance_all(leaves, batch.form, record, w, issued, np.int64(k))
         if k % scenario.keep_every == 0:
-            rows.append(jax.tree.map(lambda a: np.asarray(a[:, : scenario.rows]), row))
+            rows.append(jax.tree.map(lambda a: np.asarray(a)[:, : scenario.rows], row))
     if not rows:  # all failed before the first command
         rows = [jax.tree.map(np.asarray, _advance(leaves, batch.form, record, w, issued, np.int64(0))[1])]
     return w, memory, jax.tree.map(lambda *parts: np.stack(parts, axis=1), *rows)

@@ -50,6 +50,37 @@ def test_batches_of_one_campaign_compile_once():
     assert simulate._fly._cache_size() == 1
 
 
+def test_campaigns_share_a_program_that_gives_every_number_a_lane(reference):
+    """Runs that are all alike fly the program of those that are not, and do not count as varied."""
+    simulate._fly.clear_cache()
+    fly()
+    same = Draw(length=np.full(23, 1.1), angle=np.full(23, 0.5))
+    shared = fly(same, varying=reference.varied)
+    assert simulate._fly._cache_size() == 1
+    assert shared.varied == ()
+    np.testing.assert_allclose(shared.results["last"], fly(same).results["last"], rtol=0, atol=ROUNDING)
+    replayed = campaign.replay(case, same, 17, Damper(1.0), varying=reference.varied)
+    np.testing.assert_array_equal(replayed.estimates[-1], shared.results["last"][17])
+    with pytest.raises(ScenarioError, match=r"varying: no number '\[0\].plant.mass' .* such as '\[0\]"):
+        fly(same, varying=["[0].plant.mass"])
+
+
+def test_a_stepped_controller_is_asked_for_flights_that_count_only():
+    """Lanes that fill up a batch take the last command."""
+    asked = []
+
+    class Counted(HostDamper):
+        def step(self, state, y, r):
+            asked.append(1)
+            return super().step(state, y, r)
+
+    result = fly(campaign.draw(sample, 3, 5), controller=Counted(1.0))
+    steps = len(asked)
+    fly(campaign.draw(sample, 3, 5), controller=Counted(1.0), compiled=False)
+    assert len(asked) - steps <= 3 * 80 + 8  # and a few while shapes are found out
+    np.testing.assert_array_equal(result.index, np.arange(3))
+
+
 def test_stepped_controllers_give_the_same(reference):
     result = fly(controller=HostDamper(1.0), batch=12)
     np.testing.assert_allclose(result.results["last"], reference.results["last"], rtol=0, atol=ROUNDING)
@@ -121,7 +152,7 @@ def test_memory_bounds_the_batch(monkeypatch):
     fly_many = simulate.simulate_many
 
     def watched(cases, **options):
-        widths.append(len(cases))
+        widths.append(options["lanes"])
         return fly_many(cases, **options)
 
     monkeypatch.setattr(simulate, "simulate_many", watched)
