@@ -12,6 +12,7 @@ import numpy as np
 
 from plants import Indices, Loop, Run, Scenario, attitude, cubesat3u, draw, indices, pointing_errors, stability
 from plants.missions.cubesat3u import REQUIREMENTS
+from plants.simulation.programs import Program
 
 SLOW = 10.0  # s, the other interval over which the stability is read, ours
 EVERY = 10.0  # s, between the samples at which the filters' errors are kept
@@ -84,7 +85,7 @@ def applied(loop: Loop, scenario: Scenario) -> Start:
         return Start(np.diag(loop.plant.inertia), angles, rates)
 
 
-@jax.jit
+@Program
 def attitude_of(plant: Any, x: Any, environment: Any) -> tuple[Any, Any]:
     """Roll, pitch and yaw (3,) rad and rates (3,) rad/s at first, relative to frame O."""
     y = plant.output(x, environment.at(0.0))

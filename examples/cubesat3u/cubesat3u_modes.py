@@ -15,6 +15,7 @@ import synth
 from plants import Loop, Run, Scenario, attitude, cubesat3u, pointing_errors
 from plants.missions.cubesat3u import DEG
 from plants.outcome.indices import error
+from plants.simulation import programs
 
 ORBIT = 5640.0  # s
 FAR, NEAR = 170.0, 90.0  # deg, roll, ours
@@ -24,6 +25,13 @@ SLOW, HOLD = 0.3 * DEG, 20.0  # rad/s, s: when it is detumbled
 STAY = 0.2  # () of the flight, that it then looks at nadir
 SLEW = {"max_rate": 1.0 * DEG, "max_acceleration": 0.02 * DEG}  # rad/s, rad/s^2
 NAMES = ("detumbling", "nadir", f"{FAR:g} deg of roll")
+angles = programs.Program(attitude.to_euler)
+
+
+@programs.Program
+def along(orbit: plants.Environment, times: Any) -> Any:
+    """Part of the Sun's disk that is seen at the times (n,) s, (n,)."""
+    return jax.vmap(lambda t: orbit.at(t).sunlit)(times)
 
 
 def turned(roll: float) -> np.ndarray:
@@ -66,7 +74,7 @@ def misses(run: Run, roll: float, start: float) -> np.ndarray:
     if not run.ok:
         return np.full(3, np.inf)
     late = run.outputs[run.time >= start, :3]
-    off = np.asarray(attitude.to_euler(error(late, np.broadcast_to(turned(roll)[1:], late.shape))))
+    off = np.asarray(angles(error(late, np.broadcast_to(turned(roll)[1:], late.shape))))
     return np.quantile(np.abs(off), 0.95, axis=0, method="inverted_cdf")
 
 
@@ -102,7 +110,7 @@ def into_night(duration: float) -> plants.Environment:
     orbit = cubesat3u.environment(ORBIT)
     times = np.arange(0.0, ORBIT, orbit.step)
     with jax.enable_x64(True):
-        sunlit = np.asarray(jax.vmap(lambda t: orbit.at(t).sunlit)(times))
+        sunlit = np.asarray(along(orbit, times))
     begins = times[np.argmax(sunlit < 1.0)] - duration / 3
     return cubesat3u.environment(
         duration, argument_of_latitude=cubesat3u.ARGUMENT_OF_LATITUDE + 2 * np.pi * begins / ORBIT

@@ -153,6 +153,7 @@ def pointing_errors(run: Run) -> Errors:
         )
 
 
+@Program
 def error(a: ArrayLike, b: ArrayLike) -> Array:
     """Quaternion of the rotation from b to a, given as vector parts (N, 3); traceable."""
 

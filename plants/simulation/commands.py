@@ -4,6 +4,7 @@ The controller is the one block that is written elsewhere, by anybody. A number 
 (`Run.culprit`); what is not even a vector of real numbers is a mistake in the program, and raises `ScenarioError`.
 """
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -95,10 +96,17 @@ def shape(loop: Loop, scn: Scenario, compiled: bool) -> tuple[int, ...]:
                 f"{_name(loop.controller)} cannot be compiled: {told(error)}; pass compiled=False to step it"
             ) from error
     else:
-        y, r = map(np.asarray, seen(loop, scn, first_estimate(loop, scn), reference_at(loop, scn, 0)))
+        known = dataclasses.replace(loop, controller=None)  # pyright: ignore[reportArgumentType]
+        y, r = map(np.asarray, _first_told(known, scn))
         nu = np.shape(step(loop.controller, begin(loop.controller), y, r, (), 0.0)[1])
     check_flow(loop, scn, nu)
     return nu
+
+
+@jax.jit
+def _first_told(loop: Loop, scn: Scenario) -> tuple[Any, Any]:
+    """What a controller is told at first."""
+    return seen(loop, scn, first_estimate(loop, scn), reference_at(loop, scn, 0))
 
 
 def _pair(controller: Controller, result: Any) -> tuple[Any, Any]:

@@ -283,42 +283,45 @@ def _output(loop: Loop, scn: Scenario, env: Any) -> Any:
 def check_flow(loop: Loop, scn: Scenario, nu: tuple[int, ...]) -> None:
     """Raise `ScenarioError` if actuator, plant or navigator do not take what comes of a command of shape `nu`."""
     known = dataclasses.replace(loop, controller=None)  # pyright: ignore[reportArgumentType]
-    _check_flow((known, scn, env_at(scn, 0.0)), nu)
+    _check_flow((known, scn), nu)
 
 
 @blocks.remembered
-def _check_flow(case: tuple[Loop, Scenario, Any], nu: tuple[int, ...]) -> None:
-    """`check_flow` of a loop without its controller, and what surrounds it at first."""
-    known, scn, env = case
-    x = jax.tree.map(jnp.asarray, scn.initial)
+def _check_flow(case: tuple[Loop, Scenario], nu: tuple[int, ...]) -> None:
+    """`check_flow` of a loop without its controller."""
 
-    def put(loop: Loop) -> Any:
+    def put(loop: Loop, scn: Scenario) -> Any:
         s = None if loop.actuator is None else loop.actuator.init()
         return act(loop, s, jnp.zeros(nu), scn.initial, jnp.zeros(actuator_channels(loop)), scn.h)
 
-    def move(loop: Loop) -> Any:
-        return loop.plant.derivative(x, put(loop)[1], env)
+    def move(loop: Loop, scn: Scenario) -> Any:
+        return loop.plant.derivative(start(scn), put(loop, scn)[1], env_at(scn, 0.0))
 
-    def know(loop: Loop) -> Any:
+    def know(loop: Loop, scn: Scenario) -> Any:
         sensors, navigator = loop.sensors, loop.navigator
         assert sensors is not None
         assert navigator is not None
+        x, env = start(scn), env_at(scn, 0.0)
         y = sensors.measure(sensors.init(), x, env, jnp.zeros(sensors.channels), scn.h)[1]
-        return navigator.update(navigator.init(), y, put(loop)[1], env, scn.h)
+        return navigator.update(navigator.init(), y, put(loop, scn)[1], env, scn.h)
 
+    def start(scn: Scenario) -> Any:
+        return jax.tree.map(jnp.asarray, scn.initial)
+
+    known, scn = case
     what = f"command of shape {nu}"
-    _flows(known.actuator, "apply", what, put, known)
-    rates = _flows(known.plant, "derivative", what, move, known)
-    name = type(known.plant).__name__
-    shapes = [[leaf.shape for leaf in jax.tree.leaves(tree)] for tree in (rates, jax.eval_shape(lambda: x))]
+    _flows(known.actuator, "apply", what, put, case)
+    rates = _flows(known.plant, "derivative", what, move, case)
+    name, x = type(known.plant).__name__, jax.eval_shape(start, scn)
+    shapes = [[leaf.shape for leaf in jax.tree.leaves(tree)] for tree in (rates, x)]
     if jax.tree.structure(rates) != jax.tree.structure(x) or shapes[0] != shapes[1]:
         raise ScenarioError(
             f"initial does not fit the plant: {name}.derivative returns {jax.tree.structure(rates)} of shapes "
             f"{shapes[0]}, initial is {jax.tree.structure(x)} of {shapes[1]}"
         )
     if known.navigator is not None:
-        result = _flows(known.navigator, "update", "measurement of these sensors", know, known)
-        estimate, wanted = result[1], jax.eval_shape(lambda: first_estimate(known, scn)).shape
+        result = _flows(known.navigator, "update", "measurement of these sensors", know, case)
+        estimate, wanted = result[1], jax.eval_shape(first_estimate, known, scn).shape
         if getattr(estimate, "shape", None) != wanted:
             raise ScenarioError(
                 f"navigator: {type(known.navigator).__name__}.update returns an estimate of shape "
@@ -326,10 +329,10 @@ def _check_flow(case: tuple[Loop, Scenario, Any], nu: tuple[int, ...]) -> None:
             )
 
 
-def _flows(block: Any, method: str, what: str, function: Callable[[Loop], Any], loop: Loop) -> Any:
-    """Shapes of function(loop); ScenarioError if a block does not take what it is given."""
+def _flows(block: Any, method: str, what: str, function: Callable[..., Any], case: tuple[Loop, Scenario]) -> Any:
+    """Shapes of function(loop, scenario); ScenarioError if a block does not take what it is given."""
     try:
-        return jax.eval_shape(function, loop)
+        return jax.eval_shape(function, *case)
     except PlantError:
         raise
     except (*UNTRACEABLE, TypeError, ValueError, IndexError, AttributeError) as error:  # what wrong shapes raise
@@ -340,11 +343,15 @@ def _flows(block: Any, method: str, what: str, function: Callable[[Loop], Any], 
 
 def _check_measurement(loop: Loop, scn: Scenario) -> None:
     """Raise `ScenarioError` if the sensors do not fit the plant and its surroundings."""
-    x, env = jax.tree.map(jnp.asarray, scn.initial), env_at(scn, 0.0)
     channels = getattr(loop.sensors, "channels", None)
     if not isinstance(channels, int | np.integer) or isinstance(channels, bool) or channels < 0:
         raise ScenarioError(f"sensors.channels = {channels!r}: give the number of normal numbers that a sample takes")
-    _tried("sensors", loop.sensors, "measure", lambda b: _both(b.measure(b.init(), x, env, jnp.zeros(channels), scn.h)))
+
+    def first(sensors: Any, scn: Scenario) -> Any:
+        x = jax.tree.map(jnp.asarray, scn.initial)
+        return _both(sensors.measure(sensors.init(), x, env_at(scn, 0.0), jnp.zeros(channels), scn.h))
+
+    _tried("sensors", loop.sensors, "measure", first, loop.sensors, scn)
 
 
 def _both(result: Any) -> Any:
@@ -353,7 +360,7 @@ def _both(result: Any) -> Any:
     return result
 
 
-def _tried(name: str, block: Any, method: str, function: Callable[[Any], Any], *own: Any) -> Any:
+def _tried(name: str, block: Any, method: str, function: Callable[..., Any], *own: Any) -> Any:
     """Shapes of function(block); ScenarioError that names the block if it cannot be traced."""
     try:
         return jax.eval_shape(function, *(own or (block,)))

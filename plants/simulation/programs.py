@@ -65,7 +65,7 @@ class Program:
         """The function's result; `on_compile` is called before this form is compiled or fetched from the disk."""
         leaves, structure = jax.tree.flatten(args)
         if any(isinstance(leaf, Tracer) for leaf in leaves):
-            return self.jitted(*args)  # part of another program
+            return self._function(*args)  # part of another program
         key = structure, tuple((a.shape, a.dtype) if hasattr(a, "dtype") else a for a in leaves)
         if self._cache_size() < len(self._known):
             self._known.clear()  # jax.clear_caches was called

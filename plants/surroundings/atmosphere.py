@@ -18,6 +18,7 @@ from jax.typing import ArrayLike
 
 from plants.checks import positive
 from plants.errors import ScenarioError
+from plants.simulation.programs import Program
 from plants.surroundings.orbit import altitude
 
 # altitude km, density kg/m^3, scale height km
@@ -97,7 +98,13 @@ class LayeredAtmosphere(NamedTuple):
             raise ScenarioError(f"lowest = {self.lowest} m must lie between 0 and highest = {self.highest} m")
         stay_between(self.lowest, self.highest, r, times)
         with jax.enable_x64(True):
-            return np.asarray(self.at(r))
+            return np.asarray(_density(self, r))
+
+
+@Program
+def _density(air: LayeredAtmosphere, r: ArrayLike) -> Array:
+    """As `LayeredAtmosphere.at`, compiled once."""
+    return air.at(r)
 
 
 def stay_between(lowest: float, highest: float, r: np.ndarray, times: np.ndarray) -> None:

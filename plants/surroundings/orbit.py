@@ -225,6 +225,7 @@ def state(orbit: Orbit) -> Orbit:
     return Orbit(r, v)
 
 
+@Program
 def altitude(r: ArrayLike) -> Array:
     """Height (...) m of r (..., 3) m above the ellipsoid of WGS 84, along the radius: within 30 m of the geodetic."""
     r = jnp.asarray(r)
