@@ -3,7 +3,8 @@
     geometry       rotations: `attitude`
     surroundings   `Environment` (field, Sun, eclipse, air) along a `circular` or `keplerian` orbit under `Force`s,
                    `ground_track`, `target_position`, disturbance torques
-    dynamics       `RigidBody`, `Satellite` (with all that turns it), `EulerBody`, `Station` (relative motion)
+    dynamics       `RigidBody`, `Satellite` (with all that turns it and its flexible `Appendage`s), `flexible_model`,
+                   `EulerBody`, `Station` (relative motion)
     hardware       `equip` makes plant and actuator of data sheets (`Wheel`, `Magnetorquers`, `AttitudeThrusters`,
                    `CmgSteering`); `StarTracker`, `IntegratingGyro`, ... in a `SensorSuite`
     estimation     `mekf` over any set of instruments, `ekf`, `direct_ekf`, `svd_navigator`, `kalman`, `station_ekf`
@@ -30,6 +31,7 @@ _HOME = {  # of a name; modules are their own home
     "Air": "surroundings.atmosphere",
     "AngleRate": "hardware.sensors",
     "AngleRateSuite": "hardware.sensors",
+    "Appendage": "dynamics.appendages",
     "Atmosphere": "surroundings.atmosphere",
     "AttitudeControl": "guidance.laws",
     "AttitudeSuite": "hardware.sensors",
@@ -207,6 +209,7 @@ _HOME = {  # of a name; modules are their own home
     "equip": "hardware.effectors",
     "field_rate": "guidance.magnetic",
     "figures": "outcome.figures",
+    "flexible_model": "dynamics.appendages",
     "fmu_plant": "dynamics.outside",
     "geo": "missions.geo",
     "ground_track": "surroundings.ground",

@@ -7,6 +7,8 @@ from plants.craft.datasheets import DataSheet as DataSheet
 from plants.craft.datasheets import read_spacecraft as read_spacecraft
 from plants.craft.spacecraft import Spacecraft as Spacecraft
 from plants.craft.spacecraft import spacecraft as spacecraft
+from plants.dynamics.appendages import Appendage as Appendage
+from plants.dynamics.appendages import flexible_model as flexible_model
 from plants.dynamics.cmgs import Cmgs as Cmgs
 from plants.dynamics.eulerbody import EulerBody as EulerBody
 from plants.dynamics.eulerbody import EulerState as EulerState

@@ -240,7 +240,7 @@ def spacecraft(
     disturbances : torques beside the gravity gradient, which always acts
     name : for reports
     navigation : further arguments of `mekf`
-    effectors : further arguments of `equip`, such as `thrusters`, `cmgs`, `wanted_speeds`
+    effectors : further arguments of `equip`, such as `thrusters`, `cmgs`, `appendages`, `wanted_speeds`
 
     Raises
     ------

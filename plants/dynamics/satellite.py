@@ -1,4 +1,4 @@
-"""A rigid body with everything that turns satellites: wheels as sold, magnetorquers, thrusters, moment gyroscopes.
+"""A body with everything that turns satellites: wheels as sold, magnetorquers, thrusters, moment gyroscopes.
 
 The equations are those of `RigidBody`, with the friction of the rotors added to the torques of their motors, and with
 the torques of imbalance, coils, thrusters and gyroscopes on the body. The plant's input is
@@ -7,10 +7,11 @@ the torques of imbalance, coils, thrusters and gyroscopes on the body. The plant
          torque of the thrusters on the body (3,) N m]
 
 of which only those parts are there that the satellite has. `plants.hardware.effectors.Effectors` makes it of a command.
+Flexible appendages act on the body as `plants.dynamics.appendages` says: by a torque, a momentum, and less inertia.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -18,9 +19,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from plants.checks import Numbers, counted, real, unit
+from plants.dynamics.appendages import Appendage
 from plants.dynamics.cmgs import Cmgs
 from plants.dynamics.rigidbody import BodyState, RigidBody, state_from
 from plants.dynamics.rotors import TURN, Friction, Imbalance, column
@@ -34,13 +37,15 @@ from plants.surroundings.environment import OrbitEnv
 
 
 class SatelliteState(NamedTuple):
-    """State of a satellite with n wheels and m moment gyroscopes."""
+    """State of a satellite with n wheels, m moment gyroscopes and k flexible modes."""
 
     q: ArrayLike  # (4,) attitude of the body relative to frame N
     w: ArrayLike  # (3,) rad/s, inertial rate in body axes
     wheels: ArrayLike  # (n,) rad/s, wheel speeds relative to the body
     phase: ArrayLike  # (n,) rad, of the rotors in [0, 2 pi); (0,) if they are balanced
     gimbals: ArrayLike  # (m,) rad, gimbal angles
+    modes: ArrayLike = np.zeros(0)  # (k,) sqrt(kg) m, modal coordinates of the appendages
+    mode_rates: ArrayLike = np.zeros(0)  # (k,) sqrt(kg) m/s
 
 
 class Effort(NamedTuple):
@@ -54,12 +59,12 @@ class Effort(NamedTuple):
 
 @partial(
     blocks.node,
-    data_fields=["body", "friction", "imbalance", "cmgs", "fastest"],
+    data_fields=["body", "friction", "imbalance", "cmgs", "appendages", "fastest"],
     meta_fields=["magnetorquers", "thrusters"],
 )
 @dataclass(frozen=True, kw_only=True)
 class Satellite:
-    """A rigid body with several kinds of effector. Build it with `Satellite.create`.
+    """A body with several kinds of effector and, if need be, flexible appendages. Build it with `Satellite.create`.
 
     With magnetorquers the environment must model the magnetic field.
     """
@@ -68,6 +73,7 @@ class Satellite:
     friction: Friction | None
     imbalance: Imbalance | None
     cmgs: Cmgs | None
+    appendages: Appendage | None
     fastest: Numbers  # () rad/s, the highest speed of a wheel
     magnetorquers: bool
     thrusters: bool
@@ -81,6 +87,7 @@ class Satellite:
         magnetorquers: bool = False,
         thrusters: bool = False,
         cmgs: Cmgs | None = None,
+        appendages: Sequence[Appendage] = (),
         disturbances: tuple[Disturbance, ...] = (),
         physical: bool = True,
     ) -> "Satellite":
@@ -88,16 +95,17 @@ class Satellite:
 
         Parameters
         ----------
-        inertia : (3, 3) kg m^2, or (3,) its diagonal, with the wheels at rest relative to the body
+        inertia : (3, 3) kg m^2, or (3,) its diagonal, with wheels and appendages at rest relative to the body
         wheels : data sheets, such as `plants.hardware.wheels.Wheel`; they may differ from each other
         magnetorquers, thrusters : whether the input has their dipole moment, their torque
         cmgs : a cluster of moment gyroscopes
+        appendages : panels, booms, tanks; see `Appendage`
         disturbances, physical : as in `RigidBody.create`
 
         Raises
         ------
         ScenarioError
-            What `RigidBody.create` refuses; no effector at all.
+            What `RigidBody.create` refuses; no effector at all; appendages that carry more inertia than there is.
         """
         wheels = tuple(wheels)
         if not (wheels or magnetorquers or thrusters or cmgs):
@@ -109,11 +117,17 @@ class Satellite:
             disturbances=disturbances,
             physical=physical,
         )
+        flexible = Appendage.joined(appendages) if len(appendages) else None
+        if flexible is not None:
+            G: Any = body.wheel_axes
+            hub = flexible.hub(body.inertia - (G * body.wheel_inertia) @ G.T)
+            body = replace(body, inverse=(jnp if isinstance(hub, Tracer) else np).linalg.inv(hub))
         return cls(
             body=body,
             friction=Friction.of(wheels) if wheels else None,
             imbalance=Imbalance.of(wheels) if wheels else None,
             cmgs=cmgs,
+            appendages=flexible,
             fastest=column(wheels, "max_speed").max() if wheels else np.zeros(()),
             magnetorquers=bool(magnetorquers),
             thrusters=bool(thrusters),
@@ -127,14 +141,26 @@ class Satellite:
 
     @property
     def longest_step(self) -> float:
-        """Longest Runge-Kutta step, s, that friction and imbalance allow; inf without them.
+        """Longest Runge-Kutta step, s, that friction, imbalance and flexible modes allow; inf without them.
 
         Raise `Scenario.samples` to come below it: the steps within a sample are compiled one by one.
         """
         with jax.enable_x64(True):
             rest = np.inf if self.friction is None else float(self.friction.step(self.body.wheel_inertia))
         turn = np.inf if self.imbalance is None else 2 * np.pi / float(self.fastest) / TURN
-        return min(rest, turn)
+        swing = np.inf if self.appendages is None else 2 * np.pi / self.appendages.free(self._rest)[-1] / TURN
+        return min(rest, turn, swing)
+
+    @property
+    def _rest(self) -> Any:
+        """Inertia without that of the wheels about their axes, (3, 3) kg m^2, concrete."""
+        G = np.asarray(self.body.wheel_axes)
+        return np.asarray(self.body.inertia) - (G * np.asarray(self.body.wheel_inertia)) @ G.T
+
+    @property
+    def _modes(self) -> int:
+        """Flexible modes."""
+        return 0 if self.appendages is None else self.appendages.frequencies.shape[0]
 
     def check(self, x: SatelliteState) -> None:
         """Raise `ScenarioError` for a state that this satellite cannot have, as `RigidBody.check`."""
@@ -142,6 +168,8 @@ class Satellite:
         n, m, _, _ = self.sizes
         counted("initial.phase", x.phase, 0 if self.imbalance is None else n, "rotor that is not balanced")
         counted("initial.gimbals", x.gimbals, m, "gyroscope")
+        counted("initial.modes", x.modes, self._modes, "flexible mode")
+        counted("initial.mode_rates", x.mode_rates, self._modes, "flexible mode")
 
     def split(self, u: ArrayLike) -> Effort:
         """The parts of an input; ScenarioError if it has another length."""
@@ -160,12 +188,14 @@ class Satellite:
         Raises
         ------
         ScenarioError
-            A state or an input for other numbers of wheels or gyroscopes.
+            A state or an input for other numbers of wheels, gyroscopes or flexible modes.
         """
         part, (n, m, _, _) = self.split(u), self.sizes
         counted("wheels of the state", x.wheels, n, "wheel")
         counted("phase of the state", x.phase, 0 if self.imbalance is None else n, "rotor that is not balanced")
         counted("gimbals of the state", x.gimbals, m, "gyroscope")
+        for name in ("modes", "mode_rates"):
+            counted(f"{name} of the state", getattr(x, name), self._modes, "flexible mode")
         motors, torque = part.motors, part.torque
         stored: ArrayLike = 0.0
         if self.friction is not None:
@@ -177,13 +207,21 @@ class Satellite:
         if self.cmgs is not None:
             stored = self.cmgs.momentum(x.gimbals)
             torque = torque - self.cmgs.jacobian(x.gimbals) @ part.rates
+        back, rates, d = jnp.zeros(0), jnp.asarray(x.mode_rates), jnp.zeros((3, 0))
+        if self.appendages is not None:
+            back, d = self.appendages.restoring(x.modes, rates), jnp.asarray(self.appendages.couplings)
+            torque, stored = torque + d @ back, stored + d @ rates
         moved = self.body.motion(BodyState(x.q, x.w, x.wheels), motors, torque, env, stored)
         phase = jnp.zeros(0) if self.imbalance is None else jnp.asarray(x.wheels)
-        return SatelliteState(*moved, phase=phase, gimbals=part.rates)
+        return SatelliteState(
+            *moved, phase=phase, gimbals=part.rates, modes=rates, mode_rates=-back - d.T @ jnp.asarray(moved.w)
+        )
 
     def momentum(self, x: SatelliteState) -> Array:
-        """Angular momentum in body axes, of the body, its wheels and its gyroscopes, (3,) N m s."""
+        """Angular momentum in body axes, of the body and all that moves on it, (3,) N m s."""
         held = self.body.momentum(BodyState(x.q, x.w, x.wheels))
+        if self.appendages is not None:
+            held = held + self.appendages.momentum(x.mode_rates)
         return held if self.cmgs is None else held + self.cmgs.momentum(x.gimbals)
 
     def output(self, x: SatelliteState, env: OrbitEnv) -> Array:
@@ -207,6 +245,8 @@ class Satellite:
         t: float = 0.0,
         wheels: ArrayLike | None = None,
         gimbals: ArrayLike | None = None,
+        modes: ArrayLike | None = None,
+        mode_rates: ArrayLike | None = None,
     ) -> SatelliteState:
         """State of the satellite whose attitude and rate are known relative to frame O, NumPy.
 
@@ -218,6 +258,7 @@ class Satellite:
         t : () s
         wheels : (n,) rad/s; at rest by default
         gimbals : (m,) rad; zeros by default
+        modes, mode_rates : (k,) sqrt(kg) m and sqrt(kg) m/s; undeformed by default
 
         Raises
         ------
@@ -228,10 +269,14 @@ class Satellite:
         q, w = unit("q_OB", q_OB, (4,)), real("w_OB", w_OB, (3,))
         speeds = real("wheels", np.zeros(n) if wheels is None else wheels, (n,))
         angles = real("gimbals", np.zeros(m) if gimbals is None else gimbals, (m,))
+        rest = np.zeros(self._modes)
+        bent = real("modes", rest if modes is None else modes, rest.shape)
+        bending = real("mode_rates", rest if mode_rates is None else mode_rates, rest.shape)
         blocks.register(environment)
         with jax.enable_x64(True):
             body = [np.asarray(part) for part in _place(environment, np.asarray(float(t)), q, w, speeds)]
-        return SatelliteState(*body, phase=np.zeros(0 if self.imbalance is None else n), gimbals=angles)
+        phase = np.zeros(0 if self.imbalance is None else n)
+        return SatelliteState(*body, phase=phase, gimbals=angles, modes=bent, mode_rates=bending)
 
 
 @Program

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
+from plants.dynamics.appendages import Appendage
 from plants.dynamics.satellite import Satellite
 from plants.errors import ScenarioError
 from plants.hardware.attitudethrusters import AttitudeThrusters
@@ -104,6 +105,7 @@ def equip(
     null_rate: ArrayLike | None = None,
     minimax: bool = False,
     spanning: bool = True,
+    appendages: Sequence[Appendage] = (),
     disturbances: tuple[Disturbance, ...] = (),
     physical: bool = True,
 ) -> tuple[Satellite, Effectors]:
@@ -111,10 +113,11 @@ def equip(
 
     Parameters
     ----------
-    inertia : (3, 3) kg m^2, or (3,) its diagonal, with the wheels at rest relative to the body
+    inertia : (3, 3) kg m^2, or (3,) its diagonal, with wheels and appendages at rest relative to the body
     wheels : data sheets, of different kinds if need be
     magnetorquers, thrusters, cmgs : what else there is; wheels or cmgs, not both
     wanted_speeds, null_rate, minimax, spanning : as in `WheelArray.create`
+    appendages : panels, booms, tanks
     disturbances, physical : as in `RigidBody.create`
 
     Returns
@@ -140,6 +143,7 @@ def equip(
         magnetorquers=magnetorquers is not None,
         thrusters=thrusters is not None,
         cmgs=None if cmgs is None else cmgs.cmgs,
+        appendages=appendages,
         disturbances=disturbances,
         physical=physical,
     )
