@@ -284,7 +284,8 @@ def conclude(
     findings : what the paper does not say, in sentences
     packages : versions to name beside `PACKAGES`
     notes : further lines at the foot
-    paper : whose claims these are, such as "003 Pecorilla and Stesina (2024)": the heading of its claims page
+    paper : whose claims these are, such as "003 Pecorilla and Stesina (2024)": the heading of its claims page; empty if
+        they are the study's own
     counterparts : of the paper's figures and tables that state nothing, see `drawn` and `left_out`
     summary : a sentence that says which controller to take, and why
     abbreviations : short form -> what it stands for, of those that the page uses
@@ -306,13 +307,14 @@ def conclude(
     if requirements:
         own.append(report.Section("Margins", report.requirements_table(requirements)))
     own += [table.section() for table in tables]
-    own.append(report.Section("The paper's claims, measured", report.claims_table(claims)))
+    own.append(report.Section("The paper's claims, measured" if paper else "Claims", report.claims_table(claims)))
     if findings:
-        own.append(report.Section("What the paper does not say", "".join(map(report.paragraph, findings))))
+        beside = "What the paper does not say" if paper else "Findings"
+        own.append(report.Section(beside, "".join(map(report.paragraph, findings))))
     if cards:
         own.append(report.Section("Controllers", report.cards(cards)))
     foot = [*provenance(settings, study, packages), count, *notes]
-    marks = highlights(requirements, claims)
+    marks = highlights(requirements, claims, "claims of the paper" if paper else "claims")
     if abbreviations:
         sections = [*sections, report.Section("Abbreviations", report.definitions(abbreviations))]
     page = report.page(title, subtitle, [*own, *sections], foot, highlights=marks, summary=summary)
@@ -322,7 +324,9 @@ def conclude(
     return 0 if study.complete else INTERRUPTED
 
 
-def highlights(requirements: Sequence[report.Requirement], claims: Sequence[report.Claim]) -> list[tuple[str, str]]:
+def highlights(
+    requirements: Sequence[report.Requirement], claims: Sequence[report.Claim], whose: str = "claims of the paper"
+) -> list[tuple[str, str]]:
     """What a reader in a hurry sees: (figure, what it counts)."""
     found = []
     if requirements:
@@ -337,7 +341,7 @@ def highlights(requirements: Sequence[report.Requirement], claims: Sequence[repo
             (len(verdicts) - holds - fails, "depend on something"),
             (fails, "do not hold"),
         ):
-            found.append((f"{number} of {len(verdicts)}", f"claims of the paper {what}"))
+            found.append((f"{number} of {len(verdicts)}", f"{whose} {what}"))
     return found
 
 
