@@ -62,9 +62,9 @@ def full_order() -> Design:
     return hinfsyn(uncertain().nominal, 1, 1)
 
 
-def damped() -> Design:
-    """The optimum for modes with damping 0.7 and twice the noise: no notch where a mode may not be."""
-    G = bending(ROLL, FREQUENCIES, 0.7).nominal
+def damped(damping: float = 0.7) -> Design:
+    """The optimum for modes with this damping and twice the noise: no notch where a mode may not be."""
+    G = bending(ROLL, FREQUENCIES, damping).nominal
     return hinfsyn(StateSpace(G.A, G.B * [1, 2, 1], G.C, G.D * [1, 2, 1], 0), 1, 1)
 
 
