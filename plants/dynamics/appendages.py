@@ -62,10 +62,12 @@ class Appendage:
         Raises
         ------
         ScenarioError
-            Wrong shapes, NaN, a frequency that is not positive, a damping below zero.
+            Wrong shapes, NaN, no mode, a frequency that is not positive, a damping below zero.
         """
         W = positive("frequencies", frequencies, (None,))
         m = W.shape[0]
+        if m == 0:
+            raise ScenarioError("frequencies is empty: give at least one, or leave the appendage out")
         return cls(
             frequencies=W,
             damping=each("damping", damping, m, real, low=0),
@@ -142,7 +144,17 @@ class Appendage:
 
     @classmethod
     def joined(cls, appendages: Sequence["Appendage"]) -> "Appendage":
-        """All modes of several appendages as those of one."""
+        """All modes of several appendages as those of one.
+
+        Raises
+        ------
+        ScenarioError
+            No sequence of appendages, or an empty one.
+        """
+        if not isinstance(appendages, Sequence) or not all(isinstance(part, Appendage) for part in appendages):
+            raise ScenarioError(f"appendages is {appendages!r}: give a list of Appendage.create(...) and the like")
+        if not appendages:
+            raise ScenarioError("appendages is empty: there is nothing to join")
         library: Any = jnp if any(isinstance(part.frequencies, Tracer) for part in appendages) else np
         parts = ("frequencies", "damping", "couplings")
         return cls(**{name: library.concatenate([getattr(a, name) for a in appendages], axis=-1) for name in parts})
@@ -204,9 +216,10 @@ def flexible_model(
     Raises
     ------
     ScenarioError
-        Shapes that do not fit together.
+        Shapes that do not fit together, NaN.
     """
-    J, W, d, z = (np.asarray(part, object) for part in (inertia, frequencies, couplings, damping))
+    given = {"inertia": inertia, "frequencies": frequencies, "couplings": couplings, "damping": damping}
+    J, W, d, z = (_entries(name, part) for name, part in given.items())
     J = np.atleast_1d(J)
     J = np.diag(J) if J.ndim == 1 else J
     d = d[None] if d.ndim == 1 else d
@@ -231,6 +244,13 @@ def flexible_model(
     C[:a, :a] = C[a:, n : n + a] = np.eye(a)
     E, A = (M.astype(float) if all(map(np.isscalar, M.flat)) else M for M in (E, A))
     return DescriptorModel(E, A, B, C, np.zeros((2 * a, a)))
+
+
+def _entries(name: str, value: Any) -> np.ndarray:
+    """An array of numbers and expressions; the numbers are finite."""
+    array = np.asarray(value, object)
+    real(name, [entry for entry in array.flat if np.isscalar(entry)], (None,))
+    return array
 
 
 def _cross(a: Any, b: Any) -> Any:

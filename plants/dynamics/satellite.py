@@ -117,7 +117,7 @@ class Satellite:
             disturbances=disturbances,
             physical=physical,
         )
-        flexible = Appendage.joined(appendages) if len(appendages) else None
+        flexible = Appendage.joined(appendages) if appendages else None
         if flexible is not None:
             G: Any = body.wheel_axes
             hub = flexible.hub(body.inertia - (G * body.wheel_inertia) @ G.T)

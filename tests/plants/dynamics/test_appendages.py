@@ -268,6 +268,26 @@ def test_a_spacecraft_takes_panels_and_its_step_is_bounded_by_the_fastest_mode()
     np.testing.assert_allclose(rigid.B[3:], -np.linalg.inv(INERTIA - JS * np.eye(3) - D @ D.T), rtol=1e-9)
 
 
+def test_numbers_may_be_traced():
+    """The slope of the acceleration in all numbers at once is that of finite differences."""
+    env, u, far = FreeSpace().at(0.0), np.array([0.1, 0.2, -0.3]), 1e-6
+    motion = {name: np.append(part, [0.01, -0.02]) for name, part in MOTION.items()}
+
+    def fleet(scale):
+        panel = Appendage.create(W * scale, couplings=D * scale, damping=Z * scale)
+        tank = Appendage.pendulum(3.0 * scale, length=0.5 * scale, hinge=np.ones(3), acceleration=scale * np.ones(3))
+        return satellite([panel, tank], INERTIA * scale)
+
+    x = at(fleet(1.0), [0.05, -0.03, 0.04], wheels=[9.0, 8, 7], **motion)
+
+    def turned(scale):
+        return jnp.asarray(fleet(scale).derivative(x, u, env).w)[0]
+
+    slope = (turned(1 + far) - turned(1 - far)) / (2 * far)
+    assert jax.grad(turned)(1.0) == pytest.approx(float(slope), rel=1e-6)
+    assert jax.jit(turned)(1.0) == pytest.approx(float(turned(1.0)), rel=1e-12)
+
+
 def test_mistakes_are_named():
     with pytest.raises(ScenarioError, match="frequencies must be positive"):
         Appendage.create([1.0, 0.0], couplings=np.zeros((3, 2)))
@@ -277,6 +297,16 @@ def test_mistakes_are_named():
         Appendage.create([1.0], couplings=np.zeros((3, 1)), damping=-0.1)
     with pytest.raises(ScenarioError, match="acceleration must be positive"):
         Appendage.pendulum(3.0, length=0.5, hinge=np.ones(3), acceleration=np.zeros(3))
+    with pytest.raises(ScenarioError, match="frequencies is empty"):
+        Appendage.create([], couplings=np.zeros((3, 0)))
+    with pytest.raises(ScenarioError, match="give a list of"):
+        satellite(PANEL)
+    with pytest.raises(ScenarioError, match="give a list of"):
+        satellite([W])
+    with pytest.raises(ScenarioError, match="frequencies must be finite"):
+        flexible_model(500.0, [np.nan], couplings=[14.0], damping=0.0)
+    with pytest.raises(ScenarioError, match="inertia must be real numbers"):
+        flexible_model("500", [1.0], couplings=[14.0], damping=0.0)
     with pytest.raises(ScenarioError, match="what the appendages carry must be positive definite"):
         satellite([PANEL, PANEL, PANEL])
     plant = satellite()
