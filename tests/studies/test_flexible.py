@@ -93,6 +93,21 @@ def _numbers(K: StateSpace) -> np.ndarray:
     return np.array([*b, *a[1:]])
 
 
+def test_a_quick_look_has_the_counterexample_and_the_proof(tmp_path):
+    """Two flights of every controller: verdicts that chance decides are not decided, the others are."""
+    found = run(study, ["--fast"], tmp_path)
+    verdicts = [claim.verdict for claim in found.claims.values()]
+    assert verdicts[:4] == ["holds"] * 4
+    assert set(verdicts[4:]) <= {"not decided", "does not hold"}
+    page = (tmp_path / "report.html").read_text()
+    assert "The counterexample" in page
+    assert "Claims" in page
+    assert "paper" not in page
+    BoxCertificate.load(tmp_path / "second-order-tuned-gain.json").check(
+        designs.uncertain(20).close(found.study.designs[TUNED])
+    )
+
+
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
     """The whole study, and its page."""
