@@ -85,6 +85,7 @@ class Study(study.Study):
     """What has been measured so far."""
 
     designs: dict[str, Any] = field(default_factory=dict)
+    optimum: Any = None  # `synth.Certificate` of the nominal optimum
     margins: dict[str, Any] = field(default_factory=dict)  # `synth.WorstCase` of the stability of each
     gains: dict[str, dict[float, Any]] = field(default_factory=dict)  # and of its gain, by percent
     whole: dict[str, Any] = field(default_factory=dict)  # gain over `SPREAD` with uncertain damping

@@ -13,7 +13,7 @@ from studyrun import run
 from uncertain import flexible_satellite
 
 import synth
-from synth import StateSpace, stability_margin, worst_gain
+from synth import Certificate, StateSpace, stability_margin, worst_gain
 from synth.proof.boxcertificate import BoxCertificate
 
 NOMINAL, DAMPED, TUNED, PD = designs.NOMINAL, designs.DAMPED, designs.TUNED, designs.PD
@@ -99,6 +99,9 @@ def test_a_quick_look_has_the_counterexample_and_the_proof(tmp_path):
     verdicts = [claim.verdict for claim in found.claims.values()]
     assert verdicts[:4] == ["holds"] * 4
     assert set(verdicts[4:]) <= {"not decided", "does not hold"}
+    assert found.study.optimum.lower == pytest.approx(0.63888, abs=1e-5)
+    assert found.study.optimum.upper < 0.6389
+    Certificate.load(tmp_path / "h-infinity-norm.json").check()
     page = (tmp_path / "report.html").read_text()
     assert "The counterexample" in page
     assert "Claims" in page
