@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from synth.analysis.diskmargins import diskmargin_at as diskmargin_at
     from synth.analysis.gap import Gap as Gap
     from synth.analysis.gap import gapmetric as gapmetric
+    from synth.analysis.mu import Mu as Mu
+    from synth.analysis.mu import mussv as mussv
     from synth.analysis.norms import h2norm as h2norm
     from synth.analysis.norms import hinfnorm as hinfnorm
     from synth.analysis.norms import verify as verify
@@ -124,6 +126,7 @@ _HOME = {
     "ModelError": "errors",
     "Mpc": "predictive.horizon",
     "MrpModel": "regulators.sdc",
+    "Mu": "analysis.mu",
     "NumericalError": "errors",
     "QuaternionModel": "regulators.sdc",
     "Requirements": "delivery.acceptance",
@@ -172,6 +175,7 @@ _HOME = {
     "minimum_fuel": "predictive.fuel",
     "mixsyn": "synthesis.mixedsensitivity",
     "mpc": "predictive.horizon",
+    "mussv": "analysis.mu",
     "ncfmargin": "analysis.coprime",
     "ncfsyn": "synthesis.loopshaping",
     "nichols": "delivery.frequencyplots",

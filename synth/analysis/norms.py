@@ -348,17 +348,21 @@ def _gain(G: StateSpace) -> tuple[Gain, np.ndarray]:
 
 
 def crossings(G: StateSpace, level: float) -> np.ndarray:
-    """Angles at which a singular value of G may equal `level`: unit eigenvalues of the symplectic pencil.
-
-    With B, C scaled by level^-1/2 and D by 1/level the pencil of x+ = A x + B v, p = A'p+ + C'(C x + D v),
-    v = B'p+ + D'(C x + D v), p+ = lambda p.
-    """
-    n, m = G.n, G.nu
+    """Angles at which a singular value of G may equal `level`: those of D'D - I with B, C scaled by level^-1/2."""
     A, B, C, D = G.A, G.B / np.sqrt(level), G.C / np.sqrt(level), G.D / level
+    return singular_angles(A, B, C.T @ C, C.T @ D, D.T @ D - np.eye(G.nu))
+
+
+def singular_angles(A: np.ndarray, B: np.ndarray, Q: np.ndarray, S: np.ndarray, R: np.ndarray) -> np.ndarray:
+    """Angles at which [X; I]* [Q S; S* R] [X; I], X = (z I - A)^-1 B, may be singular, in [0, pi].
+
+    Unit eigenvalues of the symplectic pencil x+ = A x + B v, p = A'p+ + Q x + S v, 0 = B'p+ + S* x + R v, x+ = z x.
+    """
+    n, m = B.shape
     M = np.block([
         [A, np.zeros((n, n)), B],
-        [C.T @ C, -np.eye(n), C.T @ D],
-        [D.T @ C, np.zeros((m, n)), D.T @ D - np.eye(m)],
+        [Q, -np.eye(n), S],
+        [S.conj().T, np.zeros((m, n)), R],
     ])  # fmt: skip
     N = np.block([
         [np.eye(n), np.zeros((n, n + m))],
