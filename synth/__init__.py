@@ -89,6 +89,8 @@ if TYPE_CHECKING:
     from synth.synthesis.design import Design as Design
     from synth.synthesis.design import Info as Info
     from synth.synthesis.design import Shaping as Shaping
+    from synth.synthesis.dkiteration import MuDesign as MuDesign
+    from synth.synthesis.dkiteration import musyn as musyn
     from synth.synthesis.hinfinity import hinfsyn as hinfsyn
     from synth.synthesis.loopshaping import ncfsyn as ncfsyn
     from synth.synthesis.mixedsensitivity import augw as augw
@@ -127,6 +129,7 @@ _HOME = {
     "Mpc": "predictive.horizon",
     "MrpModel": "regulators.sdc",
     "Mu": "analysis.mu",
+    "MuDesign": "synthesis.dkiteration",
     "NumericalError": "errors",
     "QuaternionModel": "regulators.sdc",
     "Requirements": "delivery.acceptance",
@@ -176,6 +179,7 @@ _HOME = {
     "mixsyn": "synthesis.mixedsensitivity",
     "mpc": "predictive.horizon",
     "mussv": "analysis.mu",
+    "musyn": "synthesis.dkiteration",
     "ncfmargin": "analysis.coprime",
     "ncfsyn": "synthesis.loopshaping",
     "nichols": "delivery.frequencyplots",

@@ -130,6 +130,9 @@ OF_A_SYSTEM: dict[str, Callable[[Any, float], Any]] = {
     "minimum_fuel": lambda G, dt: synth.minimum_fuel(G, [[2.0], [2.0], [2.0]], 1.0, dt=0.5).upper if not dt else 0.0,
     "mixsyn": lambda G, dt: gamma(synth.mixsyn(G, 1.0, 0.1)),
     "mussv": lambda G, dt: synth.mussv(G, [(1, 1)]).upper,
+    "musyn": lambda G, dt: synth.musyn(
+        synth.augw(G, 1.0, 0.1).system.to_control(), 1, 1, [(1, 2)], iterations=1
+    ).mu.upper,
     "ncfmargin": lambda G, dt: synth.ncfmargin(G, 0.3),
     "ncfsyn": lambda G, dt: gamma(synth.ncfsyn(G)),
     "nichols": lambda G, dt: curve(synth.nichols(G, omega=OMEGA)),
@@ -304,6 +307,8 @@ RIGHT: dict[str, dict[str, Any]] = {
     "mpc": {"model": STATES, "Q": 1.0, "R": 1.0, "Np": 4, "Nc": 2, "umin": -1.0, "umax": 1.0, "form": "velocity",
             "terminal": None, "ymin": None, "ymax": None, "hmax": None, "delay": 0, "penalty": 10.0},
     "mussv": {"M": np.array([[1, 2j], [3, 4]]), "blocks": [(-1, 0), (1, 1)], "tol": 1e-3},
+    "musyn": {"P": WEIGHTED.system, "nmeas": 1, "ncon": 1, "blocks": [(1, 2)], "iterations": 1, "order": 1,
+              "tol": 1e-3},
     "ncfmargin": {"P": CONTINUOUS, "K": 0.3, "sign": -1},
     "ncfsyn": {"G": CONTINUOUS, "W1": 1.0, "W2": 1.0, "gamma_factor": 1.1, "gamma": None, "method": "riccati"},
     **{name: {"systems": CONTINUOUS, "ax": None, "omega": None} for name in ("bode", "nichols", "nyquist", "sigma")},

@@ -66,6 +66,12 @@ class Structure:
         return all(block.kind == "full" and block.size == (1, 1) for block in self.blocks)
 
     @property
+    def complexified(self) -> Structure:
+        """The same with real numbers taken for complex ones."""
+        sizes = [(block.size[0], 0) if block.repeated else block.size for block in self.blocks]
+        return structure(sizes)
+
+    @property
     def loosened(self) -> Structure:
         """The same with every repeated number as that many complex numbers, each on its own: a larger set."""
         pairs = [[(1, 1)] * block.size[0] if block.repeated else [block.size] for block in self.blocks]

@@ -50,6 +50,7 @@ class Cover(NamedTuple):
     scalings: Scalings  # there
     tops: list[float]  # rad/s, the highest frequencies of the first look
     intervals: int  # that cover all frequencies
+    centres: dict[float, Parts]  # rad/s -> scalings between which `upper` was shown, with det D = 1
 
 
 def response(G: StateSpace) -> Response:
@@ -80,9 +81,11 @@ def cover(G: StateSpace, blocks: Structure, tol: float) -> Cover:
     peak, where = _climbed(mu, bounds, tops[0])
     for _ in range(TRIES):
         level = max(peak * (1 + tol), floor)
-        found = Level(G, at, cone, level).proved(sorted(bounds))
+        shown = Level(G, at, cone, level)
+        found = shown.proved(sorted(bounds))
         if isinstance(found, int):
-            return Cover(level, peak, where, best_scalings(at(where), blocks, cone), tops, found)
+            centres = {w: parts for w, parts in shown.centres.items() if parts is not None}
+            return Cover(level, peak, where, best_scalings(at(where), blocks, cone), tops, found, centres)
         if found is not None:
             bounds[found] = mu(found)
             if bounds[found] > peak:

@@ -84,6 +84,21 @@ class Cone:
         GM = self.G @ M
         return M.conj().T @ self.left @ M + 1j * (GM - GM.conj().transpose(0, 2, 1))
 
+    def stiffness(self, M: np.ndarray, level: float, parts: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:
+        """How much F minds a change of every block's scaling, (k,): the norm of dF/dlog(D) beside F itself.
+
+        Near one where the level leaves room, large where it does not.
+        """
+        left, right, _ = parts
+        R = np.linalg.inv(np.linalg.cholesky(level**2 * right - M.conj().T @ left @ M))
+        found = []
+        for block in self.blocks.blocks:
+            X = np.zeros_like(right)
+            X[block.rows, block.rows] = level**2 * right[block.rows, block.rows]
+            X = X - M[block.columns].conj().T @ left[block.columns, block.columns] @ M[block.columns]
+            found.append(float(np.linalg.norm(R @ X @ R.conj().T)))
+        return np.array(found)
+
     def barriers(self, largest: float) -> tuple[np.ndarray, list[np.ndarray]]:
         """What must be positive of D and G, whatever the matrix: numbers (k, s), and matrices, each (k, r, r)."""
         numbers, matrices = [], []

@@ -213,7 +213,7 @@ class GeneralizedPlant:
         if not any(W.n for W in (*w, *z)):
             return self
         _, _, nu, _, ny = self.sizes
-        before, after = (_beside([*weights, StateSpace.gain(np.eye(k), self.dt)]) for weights, k in ((w, nu), (z, ny)))
+        before, after = (beside([*weights, StateSpace.gain(np.eye(k), self.dt)]) for weights, k in ((w, nu), (z, ny)))
         bare = StateSpace(*self.system.matrices, self.dt)
         moved = GeneralizedPlant.partition(series(series(before, bare), after), ny, nu)
         return replace(moved, w=self.w, u=self.u, z=self.z, y=self.y, units=self.units)
@@ -235,7 +235,7 @@ def _weight(name: str, W: Any, size: int, dt: float) -> tuple[np.ndarray, StateS
     return (G.D, StateSpace.gain(I, dt)) if G.n == 0 else (I, G)
 
 
-def _beside(systems: Sequence[StateSpace]) -> StateSpace:
+def beside(systems: Sequence[StateSpace]) -> StateSpace:
     """Systems that know nothing of each other, as one."""
     A, B, C, D = (np.asarray(sla.block_diag(*(getattr(G, name) for G in systems))) for name in "ABCD")
     n, (p, m) = sum(G.n for G in systems), D.shape
