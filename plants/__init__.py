@@ -10,8 +10,9 @@
     estimation     `mekf` over any set of instruments, `ekf`, `direct_ekf`, `svd_navigator`, `kalman`, `station_ekf`
     guidance       commanded frames (`Nadir`, `Pointing`, `Profile`), `Schedule` and `Guided`, `mode` and `sequence`,
                    `Detumbling`, `CrossProductDumping`
-    simulation     `Loop` and `Scenario` go into `simulate`, `simulate_many`, `campaign`, `worst_flights`, `linearize`;
-                   a `Run` comes out; `Store` reads what a campaign has stored, `sweep` goes through designs
+    simulation     `Loop` and `Scenario` go into `simulate`, `simulate_many`, `campaign`, `worst_flights`, `linearize`,
+                   `uncertain_model`; a `Run` comes out; `Store` reads what a campaign has stored, `sweep` goes through
+                   designs
     outcome        `indices`, `budget`, `nees`, `settling_time`, `run_plot`, `attitude_plot`, `attitude_sphere`,
                    `campaign_plot`; `run_table`; `report` and `study` make pages
     craft          `spacecraft` from data sheets, `read_spacecraft` from a TOML file, `compare_flights` of controllers
@@ -167,6 +168,7 @@ _HOME = {  # of a name; modules are their own home
     "ToSun": "guidance.directions",
     "ToTarget": "guidance.directions",
     "TorqueEnv": "dynamics.eulerbody",
+    "UncertainModel": "simulation.uncertain",
     "Unfiltered": "estimation.tracking",
     "Verdict": "outcome.claims",
     "Wheel": "hardware.wheels",
@@ -251,6 +253,7 @@ _HOME = {  # of a name; modules are their own home
     "svd_navigator": "estimation.navigation",
     "sweep": "simulation.sweep",
     "target_position": "surroundings.ground",
+    "uncertain_model": "simulation.uncertain",
     "wahba_covariance": "estimation.wahba",
     "wahba_pair": "estimation.wahba",
     "wahba_svd": "estimation.wahba",

@@ -199,6 +199,8 @@ from plants.simulation.simulate import simulate_many as simulate_many
 from plants.simulation.store import Store as Store
 from plants.simulation.sweep import Sweep as Sweep
 from plants.simulation.sweep import sweep as sweep
+from plants.simulation.uncertain import UncertainModel as UncertainModel
+from plants.simulation.uncertain import uncertain_model as uncertain_model
 from plants.simulation.worstflights import WorstFlights as WorstFlights
 from plants.simulation.worstflights import worst_flights as worst_flights
 from plants.surroundings.atmosphere import Air as Air

@@ -69,6 +69,8 @@ class EulerBody:
             inertia.
         """
         I, Js = inertia_matrix("inertia", inertia), positive("wheel_inertia", wheel_inertia, (3,))
+        if isinstance(I, Tracer):
+            return cls(inertia=I, inverse=jnp.linalg.inv(I), wheel_inertia=Js)
         if np.linalg.eigvalsh(I)[0] <= 0:
             raise ScenarioError(f"inertia must be symmetric positive definite, got {I.tolist()} kg m^2")
         if physical:
@@ -88,6 +90,11 @@ class EulerBody:
     def momentum(self, x: EulerState) -> Array:
         """Angular momentum I w + h in body axes, (3,) N m s."""
         return jnp.asarray(self.inertia) @ x.w + self.wheel_inertia * jnp.asarray(x.wheels)
+
+    def mass(self) -> Array:
+        """(9, 9) what the rates of the output are multiplied by in the equations of motion: ones and the inertia."""
+        O, one = jnp.zeros((3, 3)), jnp.eye(3)
+        return jnp.block([[one, O, O], [O, jnp.asarray(self.inertia), O], [O, O, one]])
 
     def output(self, x: EulerState, env: TorqueEnv) -> Array:
         """(9,): angles (3,) rad, rate (3,) rad/s, wheel momentum h (3,) N m s."""

@@ -162,6 +162,11 @@ class RigidBody:
         seen, I = seen_from(q, env), jnp.asarray(self.inertia)
         return sum((d.torque(seen, I) for d in self.disturbances), start=jnp.zeros(3))
 
+    def mass(self) -> Array:
+        """(6, 6) what the rates of the output are multiplied by in Equation 3: one, and the inertia without rotors."""
+        G, O = jnp.asarray(self.wheel_axes), jnp.zeros((3, 3))
+        return jnp.block([[jnp.eye(3), O], [O, jnp.asarray(self.inertia) - (G * self.wheel_inertia) @ G.T]])
+
     def output(self, x: BodyState, env: OrbitEnv) -> Array:
         """What a nadir-pointing controller regulates: (6,) [q_OB; w_OB].
 

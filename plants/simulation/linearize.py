@@ -62,14 +62,7 @@ def linearize(
     -----
     The point need not be an equilibrium; the drift at the point is then left out of the model.
     """
-    u = real("u", u, np.shape(u))
-    missing = [name for name in hold if name not in x._fields]
-    if missing:
-        raise ScenarioError(f"hold names {missing}, but the state has the fields {list(x._fields)}")
-    blocks.register(plant)
-    blocks.register(environment)
-    x = type(x)(*(np.asarray(real(name, part, np.shape(part))) for name, part in x._asdict().items()))
-    moving = np.concatenate([np.full(np.size(part), name not in hold) for name, part in x._asdict().items()])
+    x, u, moving = checked_point(plant, x, u, environment, hold)
     with jax.enable_x64(True):
         H, P, F, B = (np.asarray(J) for J in _jacobians(plant, environment, x, u, np.asarray(t, float)))
     for name, matrix in (("output", H), ("derivative", F), ("derivative", B)):
@@ -86,8 +79,28 @@ def linearize(
     return LinearModel(F @ np.linalg.pinv(H), B, np.eye(size), np.zeros((size, B.shape[1])))
 
 
-@Program
-def _jacobians(plant: Any, environment: Any, x: Any, u: Array, t: Array) -> tuple[Array, Array, Array, Array]:
+def checked_point(
+    plant: Plant, x: Any, u: ArrayLike, environment: Environment, hold: tuple[str, ...]
+) -> tuple[Any, np.ndarray, np.ndarray]:
+    """State and input of a point as float64, and which numbers of the state are not held, (n,) bool.
+
+    Raises
+    ------
+    ScenarioError
+        A held field does not exist, NaN.
+    """
+    u = real("u", u, np.shape(u))
+    missing = [name for name in hold if name not in x._fields]
+    if missing:
+        raise ScenarioError(f"hold names {missing}, but the state has the fields {list(x._fields)}")
+    blocks.register(plant)
+    blocks.register(environment)
+    x = type(x)(*(np.asarray(real(name, part, np.shape(part))) for name, part in x._asdict().items()))
+    moving = [np.full(np.size(part), name not in hold) for name, part in x._asdict().items()]
+    return x, np.asarray(u), np.concatenate(moving)
+
+
+def jacobians(plant: Any, environment: Any, x: Any, u: Array, t: Array) -> tuple[Array, Array, Array, Array]:
     """Slopes of the output and of the projection in x, and of the output's rate in x and u."""
     flat, shape = ravel_pytree(x)
 
@@ -103,3 +116,6 @@ def _jacobians(plant: Any, environment: Any, x: Any, u: Array, t: Array) -> tupl
 
     F, B = jax.jacfwd(output_rate, (0, 1))(flat, u, t)
     return jax.jacfwd(output)(flat, t), jax.jacfwd(projection)(flat), F, B
+
+
+_jacobians = Program(jacobians)

@@ -24,7 +24,7 @@ except (AttributeError, ValueError, OSError):  # not told here
 
 
 class Plant(Protocol):
-    """A nonlinear world, dx/dt = f(x, u, environment)."""
+    """A nonlinear world, dx/dt = f(x, u, environment); `uncertain_model` asks it for a `mass()` if it has one."""
 
     def derivative(self, x: Any, u: Any, env: Any) -> Any:
         """dx/dt, a state-like tuple."""
