@@ -43,36 +43,42 @@ def c2d(G: UncertainSystem, dt: float, method: str = "zoh") -> UncertainSystem: 
 def c2d(G: Any, dt: float, method: str = "zoh") -> StateSpace: ...
 @numerical
 def c2d(G: Any, dt: float, method: str = "zoh") -> Any:
-    """Continuous to discrete: `"zoh"` exact hold equivalent, `"tustin"` bilinear.
+    """Continuous to discrete: `"zoh"` exact hold equivalent, `"tustin"` bilinear, `"midpoint"` a hold by that rule.
 
     Parameters
     ----------
-    G : continuous system, in any form that `system` takes, or an uncertain one, whose `"tustin"` is exact in the
-        parameters; its hold equivalent is no polynomial in them
+    G : continuous system, in any form that `system` takes, or an uncertain one, whose `"tustin"` and `"midpoint"` are
+        exact in the parameters; its hold equivalent is no polynomial in them
     dt : sampling time in seconds, positive
-    method : "zoh" or "tustin"
+    method : "zoh", "tustin" or "midpoint", E (x+ - x) = dt (A (x+ + x)/2 + B u) with u held: the hold equivalent
+        itself of double integrators, such as the axes of a body at rest, and off it by (A dt)^3/12 to third order of
+        others: what is proved of it is then proved of that model
 
     Raises
     ------
-    ModelError : G is no system or is discrete already, dt is not positive.
+    ModelError : G is no system or is discrete already, dt is not positive, 2/dt is a pole, algebraic states where the
+        midpoint rule has none.
     """
     G = G if isinstance(G, UncertainSystem) else as_system("G", G)
     if G.discrete:
         raise ModelError(f"the system G is already discrete ({timebase_told(G.dt)}); c2d takes a continuous one")
     dt = as_period(dt)
-    as_choice("method", method, ("zoh", "tustin"))
+    as_choice("method", method, ("zoh", "tustin", "midpoint"))
     if isinstance(G, UncertainSystem):
-        return _uncertain_tustin(G, dt, method)
+        return _uncertain_midpoint(G, dt) if method == "midpoint" else _uncertain_tustin(G, dt, method)
     if G.n == 0:
         return replace(G, dt=dt)
     if method == "zoh":
         M = sla.expm(dt * np.block([[G.A, G.B], [np.zeros((G.nu, G.n + G.nu))]]))
         return replace(G, A=M[: G.n, : G.n], B=M[: G.n, G.n :], dt=dt)
     try:
-        return replace(cayley(G, 2 / dt, dt), u=G.u, y=G.y, units=G.units)
+        mapped = cayley(G, 2 / dt, dt)
+        if method == "midpoint":  # the input and the output of the samples, not their means
+            return replace(G, A=mapped.A, B=np.linalg.solve(np.eye(G.n) - dt / 2 * G.A, dt * G.B), dt=dt)
+        return replace(mapped, u=G.u, y=G.y, units=G.units)
     except ModelError:
         raise ModelError(
-            f"dt is {dt:g} s and 2/dt = {2 / dt:g} rad/s is a pole of the system, which Tustin's map sends to "
+            f"dt is {dt:g} s and 2/dt = {2 / dt:g} rad/s is a pole of the system, which this method sends to "
             "infinity; pass another dt, or method='zoh'"
         ) from None
 
@@ -82,7 +88,8 @@ def _uncertain_tustin(G: UncertainSystem, dt: float, method: str) -> UncertainSy
     if method == "zoh":
         raise ModelError(
             "method is 'zoh', and the hold equivalent of an uncertain system is no polynomial in its parameters; pass "
-            "method='tustin', which is exact, or sample G.at(values)"
+            "method='midpoint', which is that of double integrators and near it for others, 'tustin', which keeps "
+            "norms, or sample G.at(values)"
         )
     fixed = algebraic(G.E)
     E, A = G.E * (2 / Fraction(dt)), G.A
@@ -98,6 +105,14 @@ def _uncertain_tustin(G: UncertainSystem, dt: float, method: str) -> UncertainSy
     Cd[:, first] = Cd[:, held] = G.C[:, x]
     Cd[:, own] = G.C[:, a]
     return UncertainSystem(Ed, Ad, Bd, Cd, G.D, dt, G.u, G.y)
+
+
+def _uncertain_midpoint(G: UncertainSystem, dt: float) -> UncertainSystem:
+    """The midpoint rule with a held input: of the same degrees in the parameters as G."""
+    if algebraic(G.E).any():
+        raise ModelError("the system G has algebraic states, which the midpoint rule does not keep; pass 'tustin'")
+    h = Fraction(dt)
+    return UncertainSystem(G.E - G.A * (h / 2), G.E + G.A * (h / 2), G.B * h, G.C, G.D, dt, G.u, G.y)
 
 
 def cayley(G: StateSpace, rate: float, dt: float = 1.0) -> StateSpace:

@@ -153,3 +153,27 @@ def test_tustins_map_is_exact_in_the_parameters(seed):
             np.testing.assert_allclose(poles, np.sort_complex(expected.poles()), rtol=1e-8)
     with pytest.raises(ModelError, match="tustin"):
         synth.c2d(G, 0.2)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_midpoint_rule_is_that_of_every_system_and_keeps_the_degrees(seed):
+    G = random_system(seed)
+    found = synth.c2d(G, 0.2, "midpoint")
+    for v in points(G):
+        expected = synth.c2d(G.at(v), 0.2, "midpoint")
+        np.testing.assert_allclose(response(found.at(v)), response(expected), rtol=1e-9, atol=1e-11)
+    degrees = [max(k for e in M.flat for m in e.terms for _, k in m) for M in (G.E, G.A, found.E, found.A)]
+    assert max(degrees[2:]) <= max(degrees[:2])
+    with pytest.raises(ModelError, match="algebraic"):
+        synth.c2d(G.feedback(0.3), 0.2, "midpoint")
+
+
+def test_the_midpoint_rule_is_the_hold_of_a_body_at_rest_and_of_third_order_elsewhere():
+    J = ureal("J", 2.0, percentage=40)
+    body = UncertainSystem([[1, 0], [0, J]], [[0, 1], [0, 0]], [0, 1], [1, 0])
+    for v, H in body.gridded(5):
+        held, ours = synth.c2d(H, 0.7), synth.c2d(body, 0.7, "midpoint").at(v)
+        np.testing.assert_allclose(np.hstack([ours.A, ours.B]), np.hstack([held.A, held.B]), rtol=1e-14)
+    G = random_system(1).nominal
+    off = [np.abs(synth.c2d(G, h, "midpoint").A - synth.c2d(G, h).A).max() for h in (1e-2, 5e-3)]
+    assert off[0] / off[1] == pytest.approx(8.0, rel=0.05)
