@@ -25,7 +25,7 @@ STARTS = 8  # of a climb
 GRID = 24  # frequencies besides those of the poles
 FARTHEST = 100.0  # times the ranges: as far as instability is looked for
 RAYS = np.geomspace(0.02, FARTHEST, 48)
-HALVINGS = 40
+ROUGH, HALVINGS = 12, 30  # of a bracket on a ray, first and then
 ROUNDED = 1e-9  # of the poles' size: a growth that may be rounding
 
 
@@ -77,8 +77,12 @@ class Numbers:
             poles = (poles - 1) / (poles + 1)
         return poles
 
-    def _weights(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Monomials at t, (m,), and their derivatives by t, (m, parameters)."""
+    def _weights(self, t: np.ndarray) -> np.ndarray:
+        """Monomials at t (..., parameters), (..., m)."""
+        return (self.values(t)[..., None, :] ** self.powers).prod(axis=-1)
+
+    def _slopes(self, t: np.ndarray) -> np.ndarray:
+        """Derivatives of the monomials by t, (m, parameters)."""
         x = self.values(t)
         factors = x**self.powers
         slopes = np.empty(self.powers.shape)
@@ -86,11 +90,11 @@ class Numbers:
             others = np.delete(factors, i, axis=1).prod(axis=1)
             k = self.powers[:, i]
             slopes[:, i] = others * k * x[i] ** np.maximum(k - 1, 0)
-        return factors.prod(axis=1), slopes * np.where(t > 0, self.up, self.down)
+        return slopes * np.where(t > 0, self.up, self.down)
 
     def at(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """E and [A, B; C, D] at t."""
-        weights = self._weights(t)[0]
+        """E and [A, B; C, D] at t (..., parameters)."""
+        weights = self._weights(t)
         return np.tensordot(weights, self.E, 1), np.tensordot(weights, self.S, 1)
 
     def poles(self, t: np.ndarray) -> np.ndarray:
@@ -110,6 +114,16 @@ class Numbers:
         with np.errstate(divide="ignore"):
             return float((np.log(np.abs(poles)) if self.discrete else np.real(poles)).max())
 
+    def growths(self, t: np.ndarray) -> np.ndarray:
+        """`growth` of many points (k, parameters), faster and to fewer digits where E is nearly singular."""
+        E, S = self.at(t)
+        try:
+            poles = np.linalg.eigvals(np.linalg.solve(E, S[:, : self.n, : self.n]))
+        except np.linalg.LinAlgError:
+            return np.array([self.growth(point) for point in t])
+        with np.errstate(divide="ignore"):
+            return (np.log(np.abs(poles)) if self.discrete else poles.real).max(axis=1)
+
     def growth_slope(self, t: np.ndarray) -> np.ndarray:
         """Derivative of the growth, (parameters,); NaN where it has none."""
         E, S = self.at(t)
@@ -119,7 +133,7 @@ class Numbers:
             k = int(np.argmax(size))
             l, r, s = left[:, k].conj(), right[:, k], poles[k]
             changed = (l @ self.S[:, : self.n, : self.n] @ r - s * (l @ self.E @ r)) / (l @ E @ r)
-            slope = changed @ self._weights(t)[1]
+            slope = changed @ self._slopes(t)
             return (slope / s if self.discrete else slope).real
 
     def z(self, w: float | np.ndarray) -> np.ndarray:
@@ -138,8 +152,7 @@ class Numbers:
     def gain(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         """Largest singular value and its gradient at x = (log w, t)."""
         w, t, n = np.exp(x[0]), x[1:], self.n
-        weights, slopes = self._weights(t)
-        E, S = np.tensordot(weights, self.E, 1), np.tensordot(weights, self.S, 1)
+        E, S = self.at(t)
         z = complex(self.z(w))
         M = z * E - S[:n, :n]
         right = np.linalg.solve(M, S[:n, n:])
@@ -150,7 +163,7 @@ class Numbers:
         by_monomial = (l @ self.S @ r - z * (l[:n] @ self.E @ r[:n])).real
         turned = 2j / (1 - 1j * w) ** 2 if self.discrete else 1j
         by_w = (-turned * (l[:n] @ E @ r[:n])).real
-        return float(sigma[0]), np.concatenate([[by_w * w], by_monomial @ slopes])
+        return float(sigma[0]), np.concatenate([[by_w * w], by_monomial @ self._slopes(t)])
 
 
 def samples(p: int) -> Iterable[np.ndarray]:
@@ -227,31 +240,45 @@ def _climbed(N: Numbers, start: Peak) -> Peak:
 
 def nearest_instability(N: Numbers, starts: Iterable[np.ndarray] = ()) -> np.ndarray | None:
     """The point t with the least largest |t_i| found at which the loop is not stable; None up to `FARTHEST`."""
-    found = [t for t in (_along_ray(N, t) for t in list(starts) or samples(len(N.nominal))) if t is not None]
-    found.sort(key=lambda t: np.abs(t).max())
-    nearer = [t for t in (_along_ray(N, _moved(N, t)) for t in found[:STARTS]) if t is not None]
-    return min([*found[:1], *nearer], key=lambda t: np.abs(t).max(), default=None)
+    brackets: list[tuple[float, float, np.ndarray]] = []  # of the nearest rays
+    for t in list(starts) or samples(len(N.nominal)):
+        farthest = brackets[-1][1] if len(brackets) == STARTS else np.inf
+        if (found := _bracket(N, t, farthest)) is not None:
+            brackets = sorted([*brackets, found], key=lambda bracket: bracket[1])[:STARTS]
+    points = [_halved(N, *bracket, HALVINGS)[1] * bracket[2] for bracket in brackets]
+    moved = [_bracket(N, _moved(N, t)) for t in points]
+    points += [_halved(N, *bracket, HALVINGS)[1] * bracket[2] for bracket in moved if bracket is not None]
+    return min(points, key=lambda t: np.abs(t).max(), default=None)
 
 
-def _along_ray(N: Numbers, direction: np.ndarray) -> np.ndarray | None:
-    """Where the loop is first found unstable on a ray, to rounding."""
+def _bracket(N: Numbers, direction: np.ndarray, farthest: float = np.inf) -> tuple[float, float, np.ndarray] | None:
+    """Distances between which the loop is first found to lose stability on a ray, close together, and the ray.
+
+    None if it does not before `farthest`.
+    """
     size = np.abs(direction).max()
     if size == 0:
         return None
     e = direction / size
-    near = [1 - 1e-3, 1 - 1e-6, 1.0, 1 + 1e-6, 1 + 1e-3]
-    low = 0.0
-    for k in np.unique([*RAYS, *(size * x for x in near)]):
-        if N.growth(k * e) >= 0:
-            break
-        low = k
-    else:
+    distances = np.unique([*RAYS, *(size * x for x in (1 - 1e-3, 1 - 1e-6, 1.0, 1 + 1e-6, 1 + 1e-3))])
+    distances = distances[: np.searchsorted(distances, farthest) + 1]
+    lost = np.flatnonzero(N.growths(distances[:, None] * e) >= 0)
+    first = int(lost[0]) if lost.size else len(distances)
+    while first > 0 and N.growth(distances[first - 1] * e) >= 0:
+        first -= 1
+    while first < len(distances) and not N.growth(distances[first] * e) >= 0:
+        first += 1
+    if first == len(distances):
         return None
-    high = k
-    for _ in range(HALVINGS):
+    return *_halved(N, distances[first - 1] if first else 0.0, distances[first], e, ROUGH), e
+
+
+def _halved(N: Numbers, low: float, high: float, e: np.ndarray, count: int) -> tuple[float, float]:
+    """A bracket on a ray made narrower."""
+    for _ in range(count):
         middle = (low + high) / 2
         low, high = (low, middle) if N.growth(middle * e) >= 0 else (middle, high)
-    return high * e
+    return low, high
 
 
 def _moved(N: Numbers, start: np.ndarray) -> np.ndarray:
