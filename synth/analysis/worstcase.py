@@ -16,6 +16,7 @@ import numpy as np
 import scipy.linalg as sla
 from scipy import optimize
 
+from synth.errors import ModelError
 from synth.systems.parameters import Parameter
 from synth.systems.uncertain import UncertainSystem
 
@@ -101,7 +102,7 @@ class Numbers:
         """Finite poles, and inf for one that E sends there."""
         E, S = self.at(t)
         moving = E.any(axis=1) | E.any(axis=0)
-        alpha, beta = np.asarray(sla.eigvals(S[: self.n, : self.n], E, homogeneous_eigvals=True))
+        alpha, beta = _eigenvalues(S[: self.n, : self.n], E)
         infinite = np.abs(beta) <= 1e-14 * np.abs(alpha)
         lost = max(int(infinite.sum()) - int((~moving).sum()), 0)
         return np.concatenate([alpha[~infinite] / beta[~infinite], [np.inf] * lost])
@@ -164,6 +165,19 @@ class Numbers:
         turned = 2j / (1 - 1j * w) ** 2 if self.discrete else 1j
         by_w = (-turned * (l[:n] @ E @ r[:n])).real
         return float(sigma[0]), np.concatenate([[by_w * w], by_monomial @ self._slopes(t)])
+
+
+def _eigenvalues(A: np.ndarray, E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of A - s E, s = alpha / beta; where LAPACK's iteration does not end, it is begun again with other rows."""
+    rng = np.random.default_rng(0)
+    for attempt in range(4):
+        Q = np.linalg.qr(rng.normal(size=A.shape))[0] if attempt else np.eye(len(A))
+        try:
+            alpha, beta = np.asarray(sla.eigvals(Q @ A, Q @ E, homogeneous_eigvals=True))
+            return alpha, beta
+        except np.linalg.LinAlgError:
+            continue
+    raise ModelError("the poles of the loop cannot be computed: LAPACK's iteration does not end; choose other units")
 
 
 def samples(p: int) -> Iterable[np.ndarray]:

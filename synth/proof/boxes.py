@@ -80,7 +80,7 @@ def explored(start: Boxes, holds: Test, most: int, refutes: Callable[[Boxes], tu
         open_ = ~holds(batch)
         axes = np.full(len(open_), -1)
         axes[open_] = _dearest(batch.some(open_))
-        if total > most or (axes[open_] < 0).any() or batch.width.min() < 2.0**-45:
+        if open_.any() and (total > most or (axes[open_] < 0).any() or batch.width.min() < 2.0**-45):
             return Outcome(False, script, total, left=batch.some(open_))
         script.append("".join(AXES[a] if a >= 0 else DONE for a in axes))
         stack.extend(_batches(_halves(batch, axes)))
