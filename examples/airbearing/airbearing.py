@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from airbearing_box import MODEL, QUANTITY, WHOSE, questions
 from airbearing_claims import SIMILAR, TITLE, counterparts, findings, gain_change, statements, summary
 from airbearing_flights import (
     DIFFERENCE,
@@ -37,9 +38,10 @@ from airbearing_margins import everywhere
 from airbearing_worst import question
 from matplotlib.figure import Figure
 
+import synth
 from plants import Table, airbearing, blocks, draw, figures, report, study
 from plants.missions.airbearing import DEG, INERTIA_SPREAD, PERIOD, TAIL, TARGET, TORQUE_LIMITS, Outcome, Q, R
-from plants.outcome import worst
+from plants.outcome import boxes, worst
 from synth import ExportError, export, lqr, lqrd, state_feedback
 from synth.regulators.regulator import sampled_cost
 
@@ -262,7 +264,7 @@ def pictures(found: Study) -> list[report.Section]:
 
 def main(arguments: list[str] | None = None) -> int:
     """The command line."""
-    fast = "120 s flights, 2 runs with noise, no search for the worst"
+    fast = "120 s flights, 2 runs with noise, no search for the worst, no proofs"
     options = study.parse(
         study.parser(__doc__, out="out/airbearing", fast=fast, runs=31, what="runs with noise"), arguments
     )
@@ -274,6 +276,7 @@ def main(arguments: list[str] | None = None) -> int:
         if not options.fast:
             controller = state_feedback(configurations(duration)[LQR].gain, PERIOD)
             worst.ask(question(controller, DRAWS, options.seed), found.worst, seed=options.seed)
+            boxes.ask(questions(), found.boxes, synth)
 
     study.carry_out(found, flights, options)
     tables = [slews(found), larger(found), locally(found), inertia(found), steady(found), held(found)]
@@ -283,7 +286,11 @@ def main(arguments: list[str] | None = None) -> int:
         title="Air-bearing simulator: SDRE with a Kalman filter",
         subtitle="LQR and SDRE on large slews of a three-axis satellite simulator; after the SDRE and Kalman filter "
         "study of INPE's Space Mechanics and Control Division",
-        tables=[*tables, *worst.tables(found.worst)],
+        tables=[
+            *tables,
+            *worst.tables(found.worst),
+            *boxes.tables(found.boxes, options.out, quantity=QUANTITY, model=MODEL),
+        ],
         statements=statements(found),
         counterparts=counterparts(),
         paper=TITLE,
@@ -291,7 +298,7 @@ def main(arguments: list[str] | None = None) -> int:
         abbreviations=ABBREVIATIONS,
         first=glance(found),
         sections=pictures(found),
-        findings=findings(found),
+        findings=[*findings(found), *boxes.findings(found.boxes, WHOSE)],
         cards=cards(options.out, duration),
         settings=f"{runs} runs with noise, seed {options.seed}, {duration:g} s flights, {PERIOD:g} s period",
     )

@@ -29,13 +29,17 @@ def target(roll: float) -> np.ndarray:
     return np.zeros(3) if np.isnan(roll) else np.array([roll * DEG, TARGET[1], TARGET[2]])
 
 
+def gain(name: str, angles: np.ndarray) -> np.ndarray:
+    """The gain of a law at rest at `angles` (3,) rad, (3, 6)."""
+    K = lqrd(*(linear(angles) if name == SDRE else linear()), Q, R, PERIOD)[0]
+    return np.hstack([K[:, :3] @ np.asarray(inverse(angles)), K[:, 3:]]) if name == EXACT else K
+
+
 def local(name: str, angles: np.ndarray) -> Local:
     """The loop of a law at rest at `angles` (3,) rad with the paper's inertia."""
     A, B = linear(angles)
     F, G, *_ = sampled_cost(A, B, Q, R, PERIOD)
-    K = lqrd(*(linear(angles) if name == SDRE else linear()), Q, R, PERIOD)[0]
-    if name == EXACT:
-        K = np.hstack([K[:, :3] @ np.asarray(inverse(angles)), K[:, 3:]])
+    K = gain(name, angles)
     radius = float(np.abs(np.linalg.eigvals(F - G @ K)).max())
     if radius >= 1:
         return Local(radius, 0.0, 0.0, 0.0, 0.0)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from amazonia1_box import MODEL, QUANTITY, WHOSE, questions
 from amazonia1_claims import PAPER as TITLE
 from amazonia1_claims import counterparts, findings, share, side, statements, summary
 from amazonia1_flights import (
@@ -41,9 +42,10 @@ from amazonia1_worst import PERIOD as WORST_PERIOD
 from amazonia1_worst import question
 from matplotlib.figure import Figure
 
+import synth
 from plants import Campaign, Table, amazonia1, draw, figures, report, study
 from plants.missions.amazonia1 import DEG
-from plants.outcome import worst
+from plants.outcome import boxes, worst
 from synth import ExportError, export
 
 HEADERS = ("controller", "settled", "median, s", "max, s", "converged", "turned at most, deg",
@@ -200,7 +202,7 @@ def exported(gain: Any, out: Path) -> list[tuple[str, str]]:
 
 def main(arguments: list[str] | None = None) -> int:
     """The command line."""
-    fast = "600 s flights, 4 runs, no search for the worst"
+    fast = "600 s flights, 4 runs, no search for the worst, no proofs"
     parser = study.parser(__doc__, out="out/amazonia1", fast=fast, runs=100)
     period_option(parser)
     options = study.parse(parser, arguments)
@@ -213,6 +215,7 @@ def main(arguments: list[str] | None = None) -> int:
         if not options.fast:
             asked = question(controllers(WORST_PERIOD)[LQR], draw(amazonia1.disperse, runs, options.seed))
             worst.ask(asked, found.worst, seed=options.seed)
+            boxes.ask(questions(built), found.boxes, synth)
 
     study.carry_out(found, flights, options)
     return study.conclude(
@@ -221,14 +224,20 @@ def main(arguments: list[str] | None = None) -> int:
         title="Amazonia-1: SDRE under parametric uncertainty",
         subtitle="SDRE, SDRE + H-infinity, LQR, PD and PID in one nonlinear simulator; after Romero and Souza, "
         "CILAMCE 2022",
-        tables=[table(found), against(found), pointwise(found), *worst.tables(found.worst)],
+        tables=[
+            table(found),
+            against(found),
+            pointwise(found),
+            *worst.tables(found.worst),
+            *boxes.tables(found.boxes, options.out, quantity=QUANTITY, model=MODEL),
+        ],
         statements=statements(found),
         counterparts=counterparts(),
         paper=TITLE,
         summary=summary(found),
         abbreviations=ABBREVIATIONS,
         first=settling(found),
-        findings=findings(found),
+        findings=[*findings(found), *boxes.findings(found.boxes, WHOSE)],
         cards=cards(found, built, options.out),
         sections=[drawings(found)],
         settings=f"{runs} runs, seed {options.seed}, {duration:g} s flights, period {options.period:g} s",

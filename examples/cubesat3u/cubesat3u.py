@@ -15,6 +15,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from cubesat3u_box import MODEL, QUANTITY, WHOSE, WITHIN, questions
 from cubesat3u_budget import compared, composition, modelled, predicted, worst_inertia
 from cubesat3u_claims import (
     BOUNDS,
@@ -68,6 +69,7 @@ from plants import (
 )
 from plants.files import write_atomically
 from plants.missions.cubesat3u import REQUIREMENTS
+from plants.outcome import boxes
 from plants.outcome.worst import ask
 from plants.outcome.worst import tables as worst_tables
 from synth.delivery.qp import save_mpc
@@ -252,7 +254,7 @@ def save(found: Study, out: Path) -> list[report.Card]:
 
 def main(arguments: list[str] | None = None) -> int:
     """The command line."""
-    fast, what = "200 s flights, 3 dispersed runs, no search for the worst", "dispersed runs of table 5"
+    fast, what = "200 s flights, 3 dispersed runs, no search for the worst, no proofs", "dispersed runs of table 5"
     parser = study.parser(__doc__, out="out/cubesat3u", fast=fast, runs=30, what=what)
     options = study.parse(parser, arguments)
     runs, duration, window = (min(options.runs, 3), 200.0, 100.0) if options.fast else (options.runs, 1000.0, 300.0)
@@ -265,6 +267,7 @@ def main(arguments: list[str] | None = None) -> int:
         if not options.fast:
             asked = question(controllers["Hinf"], starts(runs, options.seed))
             ask(asked, found.worst, seed=options.seed, flights=64, rounds=4)
+            boxes.ask(questions(controllers, {"Hinf": WITHIN}), found.boxes, synth)
         if not options.fast and runs > 1:
             tell(found, runs, options.seed, duration)
 
@@ -278,9 +281,10 @@ def main(arguments: list[str] | None = None) -> int:
         subtitle="H-infinity, MPC and PD in one nonlinear simulator; after Pecorilla and Stesina (2024), "
         "doi 10.1002/rnc.7119",
         tables=[requirements(found), monte_carlo(found), filters(found), robustness(found), *told,
+                *boxes.tables(found.boxes, options.out, quantity=QUANTITY, model=MODEL),
                 *worst_tables(found.worst)],
         statements=statements(found),
-        findings=findings(found),
+        findings=[*findings(found), *boxes.findings(found.boxes, WHOSE)],
         requirements=margins(found),
         cards=save(found, options.out),
         sections=[*made_of, *(drawings(found) if PAPER_HINF in found.nominal else [])],

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import geo_box as box
 import geo_controllers as design
 import geo_drift as drift
 import geo_filter as filters
@@ -39,9 +40,10 @@ from geo_keeping import BOXES as BOXES
 from geo_keeping import keep_boxes, verdict
 from geo_worst import question
 
+import synth
 from plants import Card, Requirement, Table, study
 from plants.missions.geo import BOX, END, FORCE, SETTLE
-from plants.outcome import worst
+from plants.outcome import boxes, worst
 from synth import ExportError, LinearController, export
 
 DRAWS = 100  # of the Monte Carlo beside the worst flight
@@ -239,7 +241,7 @@ def said(found: Study) -> Sequence[str]:
 
 def main(arguments: list[str] | None = None) -> int:
     """The command line."""
-    fast = "two days of box keeping with one seed, six noisy runs, no search for the worst"
+    fast = "two days of box keeping with one seed, six noisy runs, no search for the worst, no proofs"
     parser = study.parser(
         __doc__, out="out/geo", fast=fast, runs=12, what="noisy runs of each linear controller", stored=False
     )
@@ -254,6 +256,8 @@ def main(arguments: list[str] | None = None) -> int:
         fly(found, runs, options.seed, seeds)
         if not options.fast:
             worst.ask(question(found.rate, DRAWS, options.seed), found.worst, seed=options.seed)
+            asked = box.questions(design.linear(found.rate, PERIOD)[0])
+            boxes.ask(asked, found.boxes, synth)
 
     study.carry_out(found, flights)
     return study.conclude(
@@ -271,11 +275,12 @@ def main(arguments: list[str] | None = None) -> int:
             filters.filter_table(found),
             *other_tables(found),
             *worst.tables(found.worst),
+            *boxes.tables(found.boxes, options.out, quantity=box.QUANTITY, model=box.MODEL),
         ],
         statements=statements(found),
         counterparts=counterparts(),
         requirements=requirements(found),
-        findings=said(found),
+        findings=[*said(found), *boxes.findings(found.boxes, box.WHOSE)],
         cards=cards(found, options.out),
         sections=sections(found),
         abbreviations=ABBREVIATIONS,

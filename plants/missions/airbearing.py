@@ -13,7 +13,7 @@ have no limits in the paper and start at rest. Performance is judged by the time
 its overshoot.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jax.typing import ArrayLike
@@ -24,11 +24,15 @@ from plants.estimation.kalman import Kalman, RawAngles, kalman
 from plants.hardware.actuators import ReactionWheels
 from plants.hardware.sensors import AngleRateSuite
 from plants.outcome.indices import step_response
+from plants.simulation import uncertain
+from plants.simulation.linearize import LinearModel, linearize
 from plants.simulation.loop import Controller, Loop, Run, Scenario
+from plants.simulation.uncertain import Driven, UncertainModel
 
 DEG = np.pi / 180
 
 INERTIA = np.diag([1.17, 1.17, 1.13])  # (3, 3) kg m^2, [1] section 4
+PARAMETERS = ("Ix", "Iy", "Iz", "gx", "gy", "gz")  # names of its diagonal, and of the motors' gains
 WHEEL_INERTIA = np.full(3, 0.0018)  # (3,) kg m^2, [1] section 4
 TORQUE_NOISE = 1e-4  # () N m per axis, [1] section 4, Sw = 1e-8
 ANGLE_NOISE = 0.2 * DEG  # () rad, [1] section 4, Sz = 0.04 deg^2
@@ -97,6 +101,38 @@ def disperse(seed: int, index: int) -> Case:
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
     spread = rng.uniform(1 - INERTIA_SPREAD, 1 + INERTIA_SPREAD, 3)
     return case(noise=1.0, seed=seed + index, moments=np.diag(INERTIA) * spread)
+
+
+def linear_model(p: ArrayLike, target: ArrayLike = TARGET) -> LinearModel:
+    """Linear model at rest at a target: from the motors' torque (3,) N m to [angles; rad/s], (6,).
+
+    Parameters
+    ----------
+    p : (6,) moments of inertia in kg m^2 and gains of the motors, 1 as they are told
+    target : (3,) rad
+    """
+    return linearize(_driven(real("p", p, (6,))), _at_rest(target), np.zeros(3), _CALM, hold=("wheels",))
+
+
+def uncertain_model(within: float = INERTIA_SPREAD, target: ArrayLike = TARGET) -> UncertainModel:
+    """`linear_model` over moments and gains, the parameters `PARAMETERS`, within that part of each; exact."""
+    nominal: dict[str, float] = dict(zip(PARAMETERS, [*np.diag(INERTIA).tolist(), 1.0, 1.0, 1.0], strict=True))
+    return uncertain.uncertain_model(
+        _driven, nominal, _at_rest(target), np.zeros(3), _CALM, within=within, hold=("wheels",)
+    )
+
+
+def _driven(p: Any) -> Driven:
+    """The simulator with other moments, and with motors of other gains."""
+    body = EulerBody.create(p[:3], wheel_inertia=WHEEL_INERTIA, physical=False)
+    return Driven(plant=body, gains=p[3:], outputs=6)
+
+
+def _at_rest(target: ArrayLike) -> EulerState:
+    return EulerState(check_pitch("target", target), np.zeros(3), np.zeros(3))
+
+
+_CALM = RandomTorque.create(0.0, period=1.0, duration=1.0, seed=0)
 
 
 def raw(*, measured: float = 1.0, differenced: float = 0.0) -> RawAngles:

@@ -27,9 +27,11 @@ from plants.errors import ScenarioError
 from plants.geometry import attitude
 from plants.hardware.actuators import ReactionWheels
 from plants.outcome.indices import settling_time
-from plants.simulation import blocks
+from plants.simulation import blocks, uncertain
 from plants.simulation.campaign import draw
+from plants.simulation.linearize import LinearModel, linearize
 from plants.simulation.loop import Controller, Loop, Run, Scenario
+from plants.simulation.uncertain import UncertainModel
 from plants.surroundings.disturbances import ConstantTorque
 from plants.surroundings.environment import FreeSpace, OrbitEnv
 
@@ -37,6 +39,7 @@ DEG = np.pi / 180
 RPM = 2 * np.pi / 60
 
 INERTIA = np.array([[310, 1.11, 1.01], [1.11, 360, -0.35], [1.01, -0.35, 530.7]])  # (3, 3) kg m^2, [1] table 1
+MOMENTS = ("Ix", "Iy", "Iz")  # names of its diagonal as uncertain parameters
 WHEEL_AXES = np.eye(3)  # (3, 3) [1] section 3.2: along the axes of the body
 WHEEL_INERTIA = np.full(3, 0.01911)  # (3,) kg m^2, [1] table 1
 WHEEL_TORQUE = 0.075  # () N m, [1] table 1
@@ -146,6 +149,32 @@ def satellite(moments: ArrayLike | None = None, *, torque: ArrayLike | None = No
         inertia, wheel_axes=WHEEL_AXES, wheel_inertia=WHEEL_INERTIA, disturbances=(push,), physical=False
     )
     return Satellite(body=body)
+
+
+def wheeled_model(moments: ArrayLike) -> LinearModel:
+    """Linear model of `satellite` at rest at the target, wheels at rest: the input is the motors' torque (3,) N m.
+
+    Its output is [vector part of the quaternion; rad/s].
+    """
+    body = _body(real("moments", moments, (3,)))
+    return linearize(body, _AT_REST, np.zeros(3), FreeSpace(), hold=("wheels",))
+
+
+def uncertain_model(within: float = INERTIA_SPREAD) -> UncertainModel:
+    """`wheeled_model` over the diagonal of the inertia, the parameters `MOMENTS`, within that part of each; exact."""
+    moments: dict[str, float] = dict(zip(MOMENTS, np.diag(INERTIA).tolist(), strict=True))
+    return uncertain.uncertain_model(
+        _body, moments, _AT_REST, np.zeros(3), FreeSpace(), within=within, hold=("wheels",)
+    )
+
+
+def _body(moments: Any) -> RigidBody:
+    """The satellite without a disturbance, also of traced moments."""
+    inertia = np.eye(3) * moments + (INERTIA - np.diag(np.diag(INERTIA)))
+    return RigidBody.create(inertia, wheel_axes=WHEEL_AXES, wheel_inertia=WHEEL_INERTIA, physical=False)
+
+
+_AT_REST = BodyState(q=np.array([1.0, 0, 0, 0]), w=np.zeros(3), wheels=np.zeros(3))
 
 
 def wheels() -> ReactionWheels:

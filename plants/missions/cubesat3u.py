@@ -28,8 +28,10 @@ from plants.estimation import navigation
 from plants.geometry import attitude
 from plants.hardware import sensors
 from plants.hardware.actuators import ReactionWheels
+from plants.simulation import uncertain
 from plants.simulation.linearize import LinearModel, linearize
 from plants.simulation.programs import Program
+from plants.simulation.uncertain import UncertainModel
 from plants.surroundings import forces, orbit
 from plants.surroundings.disturbances import Disturbance, Drag, GravityGradient, ResidualDipole, SolarPressure
 from plants.surroundings.environment import CircularEnvironment, Environment, sun_position
@@ -85,6 +87,7 @@ INCLINATION = 51.6 * DEG  # () rad, table 3
 ANGLES = np.array([-15.0, 25.0, 10.0]) * DEG  # (3,) rad, table 3: roll, pitch, yaw of q_OB at the start
 RATES = np.array([0.0, 0.0011, 0.0])  # (3,) rad/s, table 3: w_OB at the start
 INERTIA = np.array([0.0546, 0.0546, 0.0074])  # (3,) kg m^2, table 5
+MOMENTS = ("Ix", "Iy", "Iz")  # names of the same as uncertain parameters
 MASS = 4.548  # () kg, table 5
 
 EPOCH = datetime(2024, 3, 20, 9, 0, 0)  # UTC, ours
@@ -266,6 +269,35 @@ def continuous_model() -> LinearModel:
     plant = RigidBody.create(np.diag(INERTIA), disturbances=(GravityGradient(),))
     x = _state_at_start(surroundings, np.zeros(3), np.zeros(3), np.zeros(0))
     return linearize(plant, x, np.zeros(3), surroundings)
+
+
+def wheeled_model(moments: ArrayLike) -> LinearModel:
+    """`continuous_model` of the body that flies, with wheels at rest: the input is the torque of the motors (3,) N m.
+
+    Gravity gradient alone: what else acts at nadir is small, and the faces of the box give drag and light no slope.
+    """
+    surroundings, x = _at_nadir()
+    return linearize(_wheeled(real("moments", moments, (3,))), x, np.zeros(3), surroundings, hold=("wheels",))
+
+
+def uncertain_model(within: float = 0.1) -> UncertainModel:
+    """`wheeled_model` over all moments of inertia, the parameters `MOMENTS`, within that part of each.
+
+    Exact: Euler's equation and the gravity gradient are of first order in the moments.
+    """
+    surroundings, x = _at_nadir()
+    moments: dict[str, float] = dict(zip(MOMENTS, INERTIA.tolist(), strict=True))
+    return uncertain.uncertain_model(_wheeled, moments, x, np.zeros(3), surroundings, within=within, hold=("wheels",))
+
+
+def _at_nadir() -> tuple[CircularEnvironment, BodyState]:
+    surroundings = CircularEnvironment.along(orbit.circular(ALTITUDE, INCLINATION, RAAN, ARGUMENT_OF_LATITUDE))
+    return surroundings, _state_at_start(surroundings, np.zeros(3), np.zeros(3), np.zeros(3))
+
+
+def _wheeled(moments: Any) -> RigidBody:
+    wheels = {"wheel_axes": WHEEL_AXES, "wheel_inertia": WHEEL_INERTIA}
+    return RigidBody.create(moments, disturbances=(GravityGradient(),), physical=False, **wheels)
 
 
 def linear_model(dt: float = CONTROL_PERIOD) -> LinearModel:

@@ -22,13 +22,16 @@ from plants.errors import ScenarioError
 from plants.estimation.tracking import StateSensor, StationEkf, Tracking, Unfiltered, station_ekf
 from plants.hardware.thrusters import PulsedThrusters, Thrusters
 from plants.outcome.indices import settling_time
+from plants.simulation import uncertain
 from plants.simulation.linearize import LinearModel, linearize
 from plants.simulation.loop import Loop, Run, Scenario
 from plants.simulation.programs import Program
+from plants.simulation.uncertain import Driven, UncertainModel
 from plants.surroundings import gravity
 
 DAY = 86400.0  # () s
 MASS = 1000.0  # () kg, ours
+GAINS = ("gx", "gy", "gz")  # names of thrust over mass of the axes, as told 1, as uncertain parameters
 RATE = EARTH_RATE  # () rad/s, of the orbit
 LONGITUDE = 0.0  # () rad, ours
 EPOCH = datetime(2007, 6, 21)  # UTC, ours: northern summer, no eclipses
@@ -248,10 +251,29 @@ def oblate_model() -> LinearModel:
     return _model(gravity.OBLATE)
 
 
+def driven_model(gains: ArrayLike) -> LinearModel:
+    """`hill_model` with thrusters that give (3,) times what they are told, or a mass that is other by its inverse."""
+    return linearize(_driven(real("gains", gains, (3,))), at_rest(), np.zeros(3), _still(), hold=("spent",))
+
+
+def uncertain_model(within: float = 0.3) -> UncertainModel:
+    """`driven_model` over the gains of the axes, the parameters `GAINS`, within that part of each; exact."""
+    gains: dict[str, float] = dict.fromkeys(GAINS, 1.0)
+    return uncertain.uncertain_model(_driven, gains, at_rest(), np.zeros(3), _still(), within=within, hold=("spent",))
+
+
+def _driven(gains: Any) -> Driven:
+    return Driven(plant=unperturbed(), gains=gains, outputs=6)
+
+
+def _still() -> Sky:
+    return sky(DAY).with_fixed_pole()
+
+
 def _model(harmonics: gravity.Harmonics) -> LinearModel:
     """Linear model at rest at the ideal point, without Moon, Sun and motion of the pole."""
     plant = Station.create(harmonics=harmonics, moon=0.0, sun=0.0)
-    return linearize(plant, at_rest(), np.zeros(3), sky(DAY).with_fixed_pole(), hold=("spent",))
+    return linearize(plant, at_rest(), np.zeros(3), _still(), hold=("spent",))
 
 
 @Program

@@ -53,6 +53,7 @@ class Table(NamedTuple):
     marks: Sequence[Sequence[str]] = ()  # "pass", "fail" or "" for each cell, see `report.table`
     note: str = ""  # a sentence below
     drawn: Sequence[tuple[Figure, str]] = ()  # figures with their captions, on the page only
+    files: Sequence[tuple[str, str]] = ()  # beside the page, and what they are; on the page only
 
     def text(self) -> str:
         """For the terminal."""
@@ -64,6 +65,7 @@ class Table(NamedTuple):
         body = report.table(self.headers, self.rows, marks=self.marks)
         if self.note:
             body += report.paragraph(self.note)
+        body += report.links(self.files) if self.files else ""
         figures = drawings(self.title, self.drawn)
         return report.Section(self.title, body + figures.body, figures.files)
 
@@ -89,6 +91,7 @@ class Study:
     seconds: float = 0.0  # s, wall time of the flights
     flying: Mapping[str, Any] = field(default_factory=dict)  # how its campaigns fly: further options of `campaigns`
     worst: list[Any] = field(default_factory=list)  # each a `worst.Answer`
+    boxes: list[Any] = field(default_factory=list)  # each a `boxes.Answer`
 
 
 def parser(

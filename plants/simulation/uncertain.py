@@ -11,6 +11,8 @@ or no `mass`, it is a Taylor polynomial. Which of both it is, is measured at the
 import itertools
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -48,6 +50,15 @@ class UncertainModel(NamedTuple):
     def exact(self) -> bool:
         """Whether the error is that of rounding: the model is the plant's own, not an expansion."""
         return self.error < EXACT
+
+    def over(self, symbol: Callable[..., Any], within: float | None = None) -> tuple[Any, Any, Any, Any, Any]:
+        """`at` symbols made by `symbol(name, nominal, range=(low, high))`, such as `synth.ureal`.
+
+        `within` is another relative deviation than that of the model.
+        """
+        half = (self.high - self.low) / 2 if within is None else within * np.abs(self.nominal)
+        ends = zip(self.names, self.nominal, (self.nominal - half), (self.nominal + half), strict=True)
+        return self.at({name: symbol(name, float(x), range=(float(a), float(b))) for name, x, a, b in ends})
 
     def at(self, values: Mapping[str, Any]) -> tuple[Any, Any, Any, np.ndarray, np.ndarray]:
         """(E, A, B, C, D) at values by name that can be added and multiplied: numbers, or symbols of any kind.
@@ -144,6 +155,33 @@ def uncertain_model(
         E, A, B, *_ = model.at(dict(zip(names, p.tolist(), strict=True)))
         error = max(error, *(_apart(np.linalg.solve(E, ours), M) for ours, M in ((A, true.A), (B, true.B))))
     return model._replace(error=error)
+
+
+@partial(blocks.node, data_fields=["plant", "gains"], meta_fields=["outputs"])
+@dataclass(frozen=True, kw_only=True)
+class Driven:
+    """A plant whose inputs have other gains than the model's, such as thrusters; and the first of its outputs."""
+
+    plant: Any
+    gains: Any  # (nu,) what each input is multiplied by
+    outputs: int  # how many are looked at
+
+    def derivative(self, x: Any, u: ArrayLike, env: Any) -> Any:
+        """That of the plant."""
+        return self.plant.derivative(x, jnp.asarray(self.gains) * jnp.asarray(u), env)
+
+    def output(self, x: Any, env: Any) -> Array:
+        """(outputs,), in the units of the plant."""
+        return self.plant.output(x, env)[: self.outputs]
+
+    def project(self, x: Any) -> Any:
+        """That of the plant."""
+        return self.plant.project(x)
+
+    def mass(self) -> Array:
+        """(outputs, outputs), that of the plant."""
+        whole = self.plant.mass() if hasattr(self.plant, "mass") else jnp.eye(self.outputs)
+        return whole[: self.outputs, : self.outputs]
 
 
 def _made(plant: Callable[[Any], Plant], p: np.ndarray) -> Plant:
