@@ -16,7 +16,6 @@ from uncertain import cubesat, de_gaston_safonov, flexible_satellite, random_loo
 
 import synth
 from synth import ModelError, UncertainSystem, VerificationError, robstab, stability_margin, ureal, wcgain, worst_gain
-from synth.analysis import worstcase
 from synth.analysis.worstcase import Numbers
 from synth.proof.boxcertificate import BoxCertificate, from_dict, to_dict
 from synth.proof.boxes import Boxes, explored, follows
@@ -412,28 +411,3 @@ assert not [m for m in sys.modules if m.split(".")[0] in ("cvxpy", "clarabel", "
 def test_the_check_needs_neither_solvers_nor_design_code(tmp_path):
     path = stability_margin(de_gaston_safonov()).certificate.save(tmp_path / "c.json")
     subprocess.run([sys.executable, "-c", CHECK, str(path)], check=True)
-
-
-def test_boxes_that_all_hold_are_proved_however_few_were_wanted():
-    start = Boxes(np.ones((3, 1, 2)), np.zeros((3, 1)), np.zeros((3, 1)), np.ones((3, 1)), np.arange(3))
-    assert explored(start, lambda boxes: np.ones(len(boxes.low), bool), 0, lambda _: None).proved
-    left = explored(start, lambda boxes: np.zeros(len(boxes.low), bool), 0, lambda _: None).left
-    assert left is not None
-    assert len(left.low) == 3
-
-
-def test_poles_are_found_where_the_first_iteration_of_lapack_does_not_end(monkeypatch):
-    G, tries = flexible_satellite(20), []
-    N = Numbers(G, list(G.parameters.values()))
-    expected, whole = N.poles(np.zeros(3)), worstcase.sla.eigvals
-
-    def stubborn(A, B, **options):
-        tries.append(0)
-        if len(tries) % 3:
-            raise np.linalg.LinAlgError("did not converge")
-        return whole(A, B, **options)
-
-    monkeypatch.setattr(worstcase.sla, "eigvals", stubborn)
-    found = N.poles(np.zeros(3))
-    assert len(tries) == 3
-    assert np.abs(np.subtract.outer(found, expected)).min(axis=1).max() < 1e-9
