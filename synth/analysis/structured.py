@@ -4,12 +4,12 @@
           <= min over diagonal D > 0 of sigma_max(D M D^-1),       with equality for up to three channels
 
 At one frequency X = D^2 is found by the method of analytic centres: t X - M* X M > 0 is linear in X, and its inverse
-W at the centre proves how much lower t can be, since no t is below min_i (M W M*)_ii / W_ii.
+W at the centre tells how much lower t can be, since no t is below min_i (M W M*)_ii / W_ii.
 
-Over all frequencies nothing is gridded. A scaling D that is best at one frequency proves a level wherever
-sigma_max(D M D^-1) is below it, and the ends of these intervals are unit eigenvalues of a pencil (`norms`). Scalings
-are added until their intervals cover the circle, or one of them finds a higher level. Where constant ones prove little,
-sections of first order follow the best ones.
+Over all frequencies nothing is gridded. A scaling D that is best at one frequency is enough wherever
+sigma_max(D M D^-1) is below a level, and the ends of these intervals are unit eigenvalues of a pencil (`norms`).
+Scalings are added until their intervals cover the circle, or one of them finds a higher level. Where constant ones
+reach little, sections of first order follow the best ones.
 
 References: Doyle (1982), IEE Proceedings D 129, 242 (mu, and the bound by scalings); Packard and Doyle (1993),
 Automatica 29, 71 (power iteration); Boyd and El Ghaoui (1993), Linear Algebra and its Applications 188, 63
@@ -40,7 +40,7 @@ UNCOUPLED = 1e-10  # relative size of a coupling that is none
 SCALINGS = 400  # at most, to cover the circle
 SHARP = 1e-5  # of an interval of angles: where a maximum is climbed again if it is lower at the ends
 BESIDE = 1e-7  # of an angle
-LITTLE = 1e-2  # of an angle: how far a scaling should prove a level
+LITTLE = 1e-2  # of an angle: how far a scaling should reach
 STEP = 1e-3  # of an angle: over which scalings are seen to change
 STEEPEST = 0.99  # slope of a section of first order
 NARROW = 1e-9  # relative width of an interval of angles that is one frequency to rounding
@@ -143,7 +143,8 @@ def _centre(M: np.ndarray, x: np.ndarray, t: float) -> tuple[np.ndarray, float] 
 def structured_norm(H: StateSpace) -> Peak:
     """The largest structured singular value of a stable discrete system over all frequencies.
 
-    An upper bound, exact for up to three channels, proved at all frequencies up to the relative `TOLERANCE`.
+    An upper bound, exact for up to three channels, at all frequencies up to the relative `TOLERANCE`: measured in
+    floating point, not proved.
 
     Raises
     ------
@@ -156,7 +157,7 @@ def structured_norm(H: StateSpace) -> Peak:
         return best_scaling(M).norm if np.isfinite(M).all() else np.inf
 
     level, angle = _highest_sample(response, poles)
-    open_ends = [(0.0, np.pi)]  # intervals where the level is not proved
+    open_ends = [(0.0, np.pi)]  # intervals where the level is no bound yet
     at = angle
     for _ in range(SCALINGS):
         D = best_scaling(response(at)).D
@@ -171,7 +172,9 @@ def structured_norm(H: StateSpace) -> Peak:
         if (found := mu(at)) > level * (1 + TOLERANCE):
             level, angle = max((found, at), _top(mu, low, high))
             at = angle
-    raise NumericalError(f"{SCALINGS} scalings do not prove the structured singular value {level:.6g}: try other units")
+    raise NumericalError(
+        f"{SCALINGS} scalings do not bound the structured singular value by {level:.6g}: try other units"
+    )
 
 
 def _highest_sample(response: Transfer, poles: np.ndarray) -> tuple[float, float]:
@@ -204,7 +207,7 @@ def _summit(mu: Gain, level: float, angle: float) -> Peak:
 
 
 def _left(scaled: StateSpace, level: float, intervals: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """What remains of intervals of angles where the norm of a scaled system does not prove the level."""
+    """What remains of intervals of angles where the norm of a scaled system is not below the level."""
     scaled = balance(scaled)
     response, _ = transfer(scaled)
     ends = np.unique(np.concatenate([[0.0], crossings(scaled, level), [np.pi]]))
@@ -225,7 +228,7 @@ def _following(H: StateSpace, D: np.ndarray, slopes: np.ndarray, angle: float) -
     """D H D^-1 with scalings that change with frequency as the best ones do near an angle.
 
     |(s + a)/(s + b)| with a = w / k, b = w k has the slope (k^2 - 1)/(k^2 + 1) at s = j w, in logarithms, and the
-    modulus 1/k. Where the largest singular value is a double one, constant scalings prove little beside their angle.
+    modulus 1/k. Where the largest singular value is a double one, constant scalings reach little beside their angle.
     """
     s = np.clip(slopes * 2 * np.tan(angle / 2) / (1 + np.tan(angle / 2) ** 2) / angle, -STEEPEST, STEEPEST)
     k, w = np.sqrt((1 + s) / (1 - s)), np.tan(angle / 2)

@@ -129,7 +129,7 @@ def regularised_lqr(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, 
 
 
 def bounded_real(G: StateSpace, gamma: float, *, stable: bool = False) -> np.ndarray | None:
-    """Proof that a discrete system is stable with H-infinity norm below `gamma`, or None.
+    """Witness, in floating point, that a discrete system is stable with H-infinity norm below `gamma`, or None.
 
     Parameters
     ----------

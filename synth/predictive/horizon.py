@@ -195,7 +195,7 @@ class Mpc:
         Notes
         -----
         What leaves is within 1e-8 of the optimum, in units of the larger limit: the residuals of the optimality
-        conditions prove it of DAQP's and Clarabel's answers (`Optimality`); the last resort, long arithmetic, may take
+        conditions show it of DAQP's and Clarabel's answers (`Optimality`); the last resort, long arithmetic, may take
         seconds. `fallbacks` counts the steps that DAQP did not answer, or not well enough.
         """
         p, model = self.problem, self.problem.model

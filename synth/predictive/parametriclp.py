@@ -137,7 +137,7 @@ class ParametricLp:
         return float(np.concatenate([rows, v - self.upper, self.lower - v]).max())
 
     def error(self, v: np.ndarray, prices: np.ndarray, room: np.ndarray) -> float:
-        """How far `v` is beyond its limits, or its cost above the bound that `prices` (M,) prove; inf if no numbers.
+        """How far `v` is beyond its limits, or its cost above the bound that `prices` (M,) give; inf if no numbers.
 
         Weak duality: c'v >= prices'room + (c - A'prices)'v at the lesser limits, for prices of at most 0.
         """
