@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from synth.analysis.coprime import gang_of_four as gang_of_four
     from synth.analysis.coprime import ncfmargin as ncfmargin
-    from synth.analysis.diskmargins import diskmargin as diskmargin
     from synth.analysis.diskmargins import diskmargin_at as diskmargin_at
     from synth.analysis.gap import Gap as Gap
     from synth.analysis.gap import gapmetric as gapmetric
@@ -22,8 +21,6 @@ if TYPE_CHECKING:
     from synth.analysis.norms import verify as verify
     from synth.analysis.stabilitymargins import Margins as Margins
     from synth.analysis.stabilitymargins import allmargin as allmargin
-    from synth.analysis.stabilitymargins import margin as margin
-    from synth.analysis.stabilitymargins import margins as margins
     from synth.command.specification import Study as Study
     from synth.command.specification import read_study as read_study
     from synth.delivery.acceptance import Acceptance as Acceptance
@@ -59,10 +56,13 @@ if TYPE_CHECKING:
     from synth.predictive.horizon import Mpc as Mpc
     from synth.predictive.horizon import mpc as mpc
     from synth.proof.boxcertificate import BoxCertificate as BoxCertificate
+    from synth.proof.boxmargins import diskmargin as diskmargin
+    from synth.proof.boxmargins import margin as margin
+    from synth.proof.boxmargins import margins as margins
     from synth.proof.certify import Certificate as Certificate
+    from synth.proof.stability import robstab as robstab
+    from synth.proof.stability import stability_margin as stability_margin
     from synth.proof.worstcase import WorstCase as WorstCase
-    from synth.proof.worstcase import robstab as robstab
-    from synth.proof.worstcase import stability_margin as stability_margin
     from synth.proof.worstcase import wcgain as wcgain
     from synth.proof.worstcase import worst_gain as worst_gain
     from synth.regulators.antiwindup import AntiWindup as AntiWindup
@@ -154,7 +154,7 @@ _HOME = {
     "c2d": "systems.sampled",
     "care": "equations.are",
     "dare": "equations.are",
-    "diskmargin": "analysis.diskmargins",
+    "diskmargin": "proof.boxmargins",
     "diskmargin_at": "analysis.diskmargins",
     "diskmarginplot": "delivery.marginplots",
     "dlqr": "regulators.regulator",
@@ -173,8 +173,8 @@ _HOME = {
     "lqg": "regulators.regulator",
     "lqr": "regulators.regulator",
     "lqrd": "regulators.regulator",
-    "margin": "analysis.stabilitymargins",
-    "margins": "analysis.stabilitymargins",
+    "margin": "proof.boxmargins",
+    "margins": "proof.boxmargins",
     "minimum_fuel": "predictive.fuel",
     "mixsyn": "synthesis.mixedsensitivity",
     "mpc": "predictive.horizon",
@@ -190,11 +190,11 @@ _HOME = {
     "quaternion_pd": "regulators.quaternion",
     "quaternion_pid": "regulators.quaternion",
     "read_study": "command.specification",
-    "robstab": "proof.worstcase",
+    "robstab": "proof.stability",
     "series": "systems.connect",
     "sigma": "delivery.frequencyplots",
     "sign": "delivery.signatures",
-    "stability_margin": "proof.worstcase",
+    "stability_margin": "proof.stability",
     "state_feedback": "regulators.controller",
     "step": "delivery.timeplots",
     "system": "systems.statespace",

@@ -327,8 +327,9 @@ RIGHT: dict[str, dict[str, Any]] = {
     "state_feedback": {"K": np.ones((1, 2)), "dt": 0.1},
     "system": {"dt": 0.0, "u": ("u",), "y": ("y",), "units": None},
     **{
-        name: {"loop": UNCERTAIN, "controller": None, "tol": 1e-4, "boxes": 100}
-        for name in ("robstab", "stability_margin", "wcgain", "worst_gain")
+        name: {"loop": UNCERTAIN, "controller": None, "tol": 1e-4, "boxes": 100} | more
+        for names, more in ((("wcgain", "worst_gain"), {}), (("robstab", "stability_margin"), {"growing": ("J",)}))
+        for name in names
     },
     "ureal": {"name": "J", "nominal": 1.0, "range": (0.5, 2.0), "percentage": None, "plusminus": None},
     "verify": {"system": CONTINUOUS},

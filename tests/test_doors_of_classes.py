@@ -53,6 +53,7 @@ RIGHT: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "UncertainSystem.at": (UNCERTAIN.at, {"values": {"J": 1.1}, "within": True}),
     "UncertainSystem.sample": (UNCERTAIN.sample, {"n": 2, "seed": 0}),
     "UncertainSystem.gridded": (UNCERTAIN.gridded, {"points": 2}),
+    "UncertainSystem.with_ranges": (UNCERTAIN.with_ranges, {"box": list(UNCERTAIN.parameters.values())}),
     "UncertainSystem.series": (UNCERTAIN.series, {"H": 1.0}),
     "UncertainSystem.feedback": (UNCERTAIN.feedback, {"K": 1.0, "sign": -1}),
     "UncertainSystem.lft": (

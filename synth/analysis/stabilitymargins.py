@@ -70,9 +70,9 @@ class AllMargins:
 class Loops:
     """A loop for negative feedback, cut in three ways."""
 
-    input: StateSpace  # (m x m) at the plant's inputs
-    output: StateSpace  # (p x p) at its outputs
-    both: StateSpace  # (m + p, m + p) at all of them
+    input: Any  # (m x m) at the plant's inputs, a StateSpace or an UncertainSystem
+    output: Any  # (p x p) at its outputs
+    both: Any  # (m + p, m + p) at all of them
 
 
 @dataclass(frozen=True)

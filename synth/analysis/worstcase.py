@@ -26,11 +26,14 @@ STARTS = 8  # of a climb
 GRID = 24  # frequencies besides those of the poles
 FARTHEST = 100.0  # times the ranges: as far as instability is looked for
 RAYS = np.geomspace(0.02, FARTHEST, 48)
-ROUGH, HALVINGS = 12, 30  # of a bracket on a ray, first and then
+HALVINGS = 40
+NOWHERE = 1e-9  # times the ranges: nothing grows
+SINGULAR = 1e10  # condition of E from which on poles may be at infinity
 ROUNDED = 1e-9  # of the poles' size: a growth that may be rounding
 
 
-Triple = tuple[np.ndarray, np.ndarray, np.ndarray]
+Pair = tuple[np.ndarray, np.ndarray]
+Matrices = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 class Peak(NamedTuple):
@@ -43,10 +46,15 @@ class Peak(NamedTuple):
 
 
 class Numbers:
-    """A loop as a function of its parameters in doubles; t in [-1, 1] is the box, 0 the nominal values."""
+    """A loop as a function of its parameters in doubles; t in [-1, 1] is the box, 0 the nominal values.
 
-    def __init__(self, G: UncertainSystem, box: Sequence[Parameter]):
+    Margins are looked for with the ranges of the `growing` parameters larger, of all when left out.
+    """
+
+    def __init__(self, G: UncertainSystem, box: Sequence[Parameter], growing: Iterable[str] = ()):
         names = [p.name for p in box]
+        grow = set(growing) or set(names)
+        self.growing = np.array([name in grow for name in names])
         self.discrete, self.n = G.discrete, G.n
         self.nominal = np.array([p.nominal for p in box])
         self.low, self.high = np.array([p.low for p in box]), np.array([p.high for p in box])
@@ -58,6 +66,7 @@ class Numbers:
             np.array([[[float(entry.terms.get(m, 0)) for entry in row] for row in M] for m in monomials])
             for M in (G.E, S)
         )
+        self.fixed = ~(self.E.any(axis=(0, 1)) | self.E.any(axis=(0, 2)))  # algebraic states
 
     def values(self, t: np.ndarray) -> np.ndarray:
         """Parameters at t; inside their ranges for t in [-1, 1]."""
@@ -65,10 +74,18 @@ class Numbers:
         return np.where(np.abs(t) <= 1, np.clip(x, self.low, self.high), x)
 
     def fractions(self, f: np.ndarray, scale: float) -> np.ndarray:
-        """T of points at fractions f of the ranges, made larger by `scale`."""
-        x = scale * (f * (self.up + self.down) - self.down)
+        """T of points at fractions f of the ranges, those that grow made larger by `scale`."""
+        x = np.where(self.growing, scale, 1.0) * (f * (self.up + self.down) - self.down)
         room = np.where(x > 0, self.up, self.down)
         return np.divide(x, room, out=np.zeros_like(x), where=room > 0)
+
+    def on_ray(self, t: np.ndarray, scale: float) -> np.ndarray:
+        """The point with what grows in it multiplied."""
+        return np.where(self.growing, scale * t, t)
+
+    def size(self, t: np.ndarray) -> float:
+        """How many times as large the ranges that grow must be made to hold t."""
+        return float(np.abs(t[self.growing]).max())
 
     def in_plane(self, poles: np.ndarray) -> np.ndarray:
         """Finite poles, of a discrete loop as Cayley's map has them."""
@@ -101,11 +118,25 @@ class Numbers:
     def poles(self, t: np.ndarray) -> np.ndarray:
         """Finite poles, and inf for one that E sends there."""
         E, S = self.at(t)
-        moving = E.any(axis=1) | E.any(axis=0)
-        alpha, beta = _eigenvalues(S[: self.n, : self.n], E)
+        try:
+            E, A, _, _ = self._moving(E, S)
+        except np.linalg.LinAlgError:
+            return np.array([np.inf])
+        if np.linalg.cond(E) < SINGULAR:
+            return np.linalg.eigvals(np.linalg.solve(E, A))
+        alpha, beta = _eigenvalues(A, E)
         infinite = np.abs(beta) <= 1e-14 * np.abs(alpha)
-        lost = max(int(infinite.sum()) - int((~moving).sum()), 0)
-        return np.concatenate([alpha[~infinite] / beta[~infinite], [np.inf] * lost])
+        return np.concatenate([alpha[~infinite] / beta[~infinite], [np.inf] * int(infinite.sum())])
+
+    def _moving(self, E: np.ndarray, S: np.ndarray) -> Matrices:
+        """E and A of the states that move, what the others are made of, and what their equations add to."""
+        A = S[..., : self.n, : self.n]
+        if not self.fixed.any():
+            return E, A, np.zeros((0, self.n)), np.zeros((self.n, 0))
+        x, a = np.flatnonzero(~self.fixed), np.flatnonzero(self.fixed)
+        own, above, below = A[..., a[:, None], a], A[..., x[:, None], a], A[..., a[:, None], x]
+        down, across = -np.linalg.solve(own, below), -np.linalg.solve(own.mT, above.mT).mT
+        return E[..., x[:, None], x], A[..., x[:, None], x] + above @ down, down, across
 
     def growth(self, t: np.ndarray) -> float:
         """Largest real part of a pole, or log of its modulus: negative for a stable loop."""
@@ -115,24 +146,33 @@ class Numbers:
         with np.errstate(divide="ignore"):
             return float((np.log(np.abs(poles)) if self.discrete else np.real(poles)).max())
 
-    def growths(self, t: np.ndarray) -> np.ndarray:
-        """`growth` of many points (k, parameters), faster and to fewer digits where E is nearly singular."""
-        E, S = self.at(t)
+    def growths(self, points: np.ndarray) -> np.ndarray:
+        """Of several points, (k, parameters), at once."""
+        weights = (self.values(points)[:, None] ** self.powers).prod(axis=2)
         try:
-            poles = np.linalg.eigvals(np.linalg.solve(E, S[:, : self.n, : self.n]))
+            E, A, _, _ = self._moving(np.tensordot(weights, self.E, 1), np.tensordot(weights, self.S, 1))
+            regular = A.size > 0 and bool((np.linalg.cond(E) < SINGULAR).all())
         except np.linalg.LinAlgError:
-            return np.array([self.growth(point) for point in t])
+            regular = False
+        if not regular:
+            return np.array([self.growth(t) for t in points])
+        poles = np.linalg.eigvals(np.linalg.solve(E, A))
         with np.errstate(divide="ignore"):
-            return (np.log(np.abs(poles)) if self.discrete else poles.real).max(axis=1)
+            return (np.log(np.abs(poles)) if self.discrete else np.real(poles)).max(axis=1)
 
     def growth_slope(self, t: np.ndarray) -> np.ndarray:
         """Derivative of the growth, (parameters,); NaN where it has none."""
         E, S = self.at(t)
-        poles, left, right = cast(Triple, sla.eig(S[: self.n, : self.n], E, left=True, right=True))
+        Er, A, down, across = self._moving(E, S)
+        poles, first = cast(Pair, np.linalg.eig(np.linalg.solve(Er, A)))
+        last = np.linalg.solve(Er.T, np.linalg.inv(first).T)  # columns are the left eigenvectors of the pencil
+        right, left = np.zeros((self.n, len(A)), complex), np.zeros((self.n, len(A)), complex)
+        right[~self.fixed], right[self.fixed] = first, down @ first
+        left[~self.fixed], left[self.fixed] = last, across.T @ last
         with np.errstate(all="ignore"):
             size = np.where(np.isfinite(poles), np.log(np.abs(poles)) if self.discrete else np.real(poles), -np.inf)
             k = int(np.argmax(size))
-            l, r, s = left[:, k].conj(), right[:, k], poles[k]
+            l, r, s = left[:, k], right[:, k], poles[k]
             changed = (l @ self.S[:, : self.n, : self.n] @ r - s * (l @ self.E @ r)) / (l @ E @ r)
             slope = changed @ self._slopes(t)
             return (slope / s if self.discrete else slope).real
@@ -253,59 +293,68 @@ def _climbed(N: Numbers, start: Peak) -> Peak:
 
 
 def nearest_instability(N: Numbers, starts: Iterable[np.ndarray] = ()) -> np.ndarray | None:
-    """The point t with the least largest |t_i| found at which the loop is not stable; None up to `FARTHEST`."""
-    brackets: list[tuple[float, float, np.ndarray]] = []  # of the nearest rays
-    for t in list(starts) or samples(len(N.nominal)):
-        farthest = brackets[-1][1] if len(brackets) == STARTS else np.inf
-        if (found := _bracket(N, t, farthest)) is not None:
-            brackets = sorted([*brackets, found], key=lambda bracket: bracket[1])[:STARTS]
-    points = [_halved(N, *bracket, HALVINGS)[1] * bracket[2] for bracket in brackets]
-    moved = [_bracket(N, _moved(N, t)) for t in points]
-    points += [_halved(N, *bracket, HALVINGS)[1] * bracket[2] for bracket in moved if bracket is not None]
-    return min(points, key=lambda t: np.abs(t).max(), default=None)
+    """The point t of the least size found at which the loop is not stable; None up to `FARTHEST`."""
+    rays = sorted(ray for ray in (_along_ray(N, t) for t in list(starts) or _directions(N)) if ray is not None)
+    found = [_refined(N, ray) for k, ray in enumerate(rays) if k < STARTS or ray.low <= rays[0].high]
+    found.sort(key=N.size)
+    nearer = [ray for ray in (_along_ray(N, _moved(N, t)) for t in found[:STARTS]) if ray is not None]
+    return min([*found[:1], *(_refined(N, ray) for ray in nearer)], key=N.size, default=None)
 
 
-def _bracket(N: Numbers, direction: np.ndarray, farthest: float = np.inf) -> tuple[float, float, np.ndarray] | None:
-    """Distances between which the loop is first found to lose stability on a ray, close together, and the ray.
+def _directions(N: Numbers) -> Iterable[np.ndarray]:
+    """Samples of the box; what grows alone has two directions, or one where its range has one side."""
+    if N.growing.sum() > 1 or N.growing.all():
+        yield from samples(len(N.nominal))
+        return
+    for t in samples(len(N.nominal)):
+        for sign, room in ((1.0, N.up[N.growing]), (-1.0, N.down[N.growing])):
+            if room > 0:
+                yield np.where(N.growing, sign, t)
 
-    None if it does not before `farthest`.
-    """
-    size = np.abs(direction).max()
-    if size == 0:
+
+class Ray(NamedTuple):
+    """A direction along which stability is lost, between two multiples of it."""
+
+    high: float
+    low: float
+    direction: tuple[float, ...]
+
+
+def _along_ray(N: Numbers, direction: np.ndarray) -> Ray | None:
+    """Where the loop is first found unstable on a ray."""
+    size = N.size(direction)
+    if size < NOWHERE:
         return None
-    e = direction / size
-    distances = np.unique([*RAYS, *(size * x for x in (1 - 1e-3, 1 - 1e-6, 1.0, 1 + 1e-6, 1 + 1e-3))])
-    distances = distances[: np.searchsorted(distances, farthest) + 1]
-    lost = np.flatnonzero(N.growths(distances[:, None] * e) >= 0)
-    first = int(lost[0]) if lost.size else len(distances)
-    while first > 0 and N.growth(distances[first - 1] * e) >= 0:
-        first -= 1
-    while first < len(distances) and not N.growth(distances[first] * e) >= 0:
-        first += 1
-    if first == len(distances):
+    e = np.where(N.growing, direction / size, np.clip(direction, -1, 1))
+    near = [1 - 1e-3, 1 - 1e-6, 1.0, 1 + 1e-6, 1 + 1e-3]
+    scales = np.unique([0.0, *RAYS, *(size * x for x in near)])
+    lost = np.flatnonzero(N.growths(np.array([N.on_ray(e, k) for k in scales[1:]])) >= 0)
+    if not lost.size:
         return None
-    return *_halved(N, distances[first - 1] if first else 0.0, distances[first], e, ROUGH), e
+    return Ray(float(scales[lost[0] + 1]), float(scales[lost[0]]), tuple(map(float, e)))
 
 
-def _halved(N: Numbers, low: float, high: float, e: np.ndarray, count: int) -> tuple[float, float]:
-    """A bracket on a ray made narrower."""
-    for _ in range(count):
+def _refined(N: Numbers, ray: Ray) -> np.ndarray:
+    """The point on a ray where stability is lost, to rounding."""
+    high, low, e = ray.high, ray.low, np.array(ray.direction)
+    for _ in range(HALVINGS):
         middle = (low + high) / 2
-        low, high = (low, middle) if N.growth(middle * e) >= 0 else (middle, high)
-    return low, high
+        low, high = (low, middle) if N.growth(N.on_ray(e, middle)) >= 0 else (middle, high)
+    return N.on_ray(e, high)
 
 
 def _moved(N: Numbers, start: np.ndarray) -> np.ndarray:
     """The point moved along the boundary of stability to where the box that holds it is smallest."""
     unit, p = _size(N, N.poles(start)), len(start)
-    rows = np.hstack([np.vstack([-np.eye(p), np.eye(p)]), np.ones((2 * p, 1))])
+    rows = np.hstack([np.vstack([-np.eye(p), np.eye(p)]), np.tile(N.growing.astype(float), 2)[:, None]])
+    room = np.tile(1.0 - N.growing, 2)
     with np.errstate(all="ignore"):
         try:
             found = optimize.minimize(
-                lambda x: x[-1], np.append(start, np.abs(start).max()), jac=lambda x: np.eye(p + 1)[-1],
+                lambda x: x[-1], np.append(start, N.size(start)), jac=lambda x: np.eye(p + 1)[-1],
                 method="SLSQP", options={"maxiter": 100, "ftol": 1e-12},
                 constraints=[
-                    {"type": "ineq", "fun": lambda x: rows @ x, "jac": lambda x: rows},
+                    {"type": "ineq", "fun": lambda x: rows @ x + room, "jac": lambda x: rows},
                     {
                         "type": "ineq",
                         "fun": lambda x: N.growth(x[:-1]) / unit,

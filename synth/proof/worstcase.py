@@ -1,4 +1,4 @@
-"""`worst_gain` and `stability_margin` of a loop over its box of parameters: found in doubles, proved in balls.
+"""`worst_gain` of a loop over its box of parameters: found in doubles, proved in balls; what `stability` shares.
 
 The search (`analysis.worstcase`) gives a point and a level just beyond it; the proof (`robust`, `boxes`) holds there,
 or names a worse point, from which the search goes on, or leaves boxes undecided, and the next level is farther away.
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +19,7 @@ from synth.analysis.norms import hinfnorm
 from synth.checks import as_number, as_whole, shown
 from synth.errors import ModelError
 from synth.proof import robust
-from synth.proof.boxcertificate import GAIN, STABILITY, BoxCertificate, gain_at, scale_of
+from synth.proof.boxcertificate import GAIN, STABILITY, BoxCertificate, gain_at
 from synth.proof.boxes import HIGHEST, Outcome, explored
 from synth.proof.pencils import Pencil, rational
 from synth.systems.parameters import Parameter
@@ -33,14 +32,12 @@ WORK = 500_000_000  # coefficients on the boxes of a proof
 WIDER = 10.0  # times as far from what was found, where a level is not proved
 WIDEST = 60.0  # relative distance beyond which no level is tried
 TRIES = 30  # levels
-FEW = 16  # part of the boxes after which a worse point is looked for first
 NEWS = 1e-2  # part of tol by which a worse point changes the level
 PIECES, PER_DECADE = 20, 6  # of frequency
 BEYOND = 8.0  # times the fastest pole, and below the slowest
 CENTRES = 32  # of undecided boxes, from which the search goes on
 SAFE = 1e-12  # relative, below the gain that was found
 NOTHING = 1e-140  # a gain below it is none
-NEAREST, HALVINGS = 1e-13, 50  # relative, of the exact boundary of stability on a ray, and steps to it
 SHIFTED = (1.0, 1.0293, 1.0719)  # of the pieces of frequency, where a node meets a pole
 
 
@@ -52,7 +49,7 @@ class WorstCase:
     `parameters` reach `upper`.
     """
 
-    quantity: str  # "gain" or "stability"
+    quantity: str  # "gain", "stability", or which margin (`margin`, `diskmargin`)
     lower: float
     upper: float
     parameters: dict[str, float]  # where the worst was found; empty where nothing was
@@ -75,6 +72,9 @@ class WorstCase:
             proved = f"proved: stable, gain below {self.upper:.9g}" if self.certificate else "no upper bound proved"
             found = f"reached: {self.lower:.9g} at {self.frequency:.6g} rad/s with {at}"
             found = f"unstable, pole {pole}, with {at}" if pole else found
+        elif self.quantity != STABILITY:
+            found, proved = f"reached: {self.quantity} {self.upper:.9g} with {at}", f"proved: {self.lower:.9g}"
+            proved = proved if self.certificate else "nothing proved"
         else:
             proved = f"proved: stable up to {self.lower:.9g} times the box" if self.certificate else "nothing proved"
             found = f"unstable at {self.upper:.9g} times the box, pole {pole}, with {at}" if pole else "none found"
@@ -104,15 +104,15 @@ def worst_gain(loop: Any, controller: Any = None, *, tol: float = 1e-5, boxes: i
 
     Reference: theorem and assumptions are in `synth.proof.robust` and in docs/robust_box.md.
     """
-    ask = _asked(loop, controller, tol, boxes)
+    ask = asked(loop, controller, tol, boxes)
     pencil, N = Pencil.of(ask.G, ask.box), search.Numbers(ask.G, ask.box)
     unstable, peaks = (np.zeros(len(ask.box)), []) if not pencil.is_stable_at(pencil.nominal) else _climbed(pencil, N)
     if unstable is not None:
         return _unstable(ask, N, unstable)
     size = robust.size_of_gain(pencil)
     if not robust.fits(pencil, size, bordered=True):
-        return _gain(ask, peaks[0], None, _too_large(pencil, size, bordered=True))
-    edges, bits, pieces = _accurate(N, pencil, robust.gain_pieces)
+        return _gain(ask, peaks[0], None, too_large(pencil, size, bordered=True))
+    edges, bits, pieces = accurate(N, pencil, robust.gain_pieces)
     most, distance, outcome, proof = ask.most(size), ask.tol, None, None
     for _ in range(TRIES):
         level = _above(peaks[0].gain, distance)
@@ -120,7 +120,7 @@ def worst_gain(loop: Any, controller: Any = None, *, tol: float = 1e-5, boxes: i
         if outcome.proved:
             proof = Proof(level, bits, edges, outcome)
             break
-        unstable, higher = _climbed(pencil, N, *_doubtful(outcome, N, edges))
+        unstable, higher = _climbed(pencil, N, *doubtful(outcome, N, edges))
         if unstable is not None:
             return _unstable(ask, N, unstable)
         if higher[0].gain > peaks[0].gain * (1 + NEWS * ask.tol):
@@ -129,62 +129,10 @@ def worst_gain(loop: Any, controller: Any = None, *, tol: float = 1e-5, boxes: i
             distance *= WIDER
         if distance > WIDEST:
             break
-    return _gain(ask, peaks[0], proof, _note("an upper bound", most, outcome, proof, wide=distance > ask.tol))
+    return _gain(ask, peaks[0], proof, remark("an upper bound", most, outcome, proof, wide=distance > ask.tol))
 
 
-@one_thread
-def stability_margin(loop: Any, controller: Any = None, *, tol: float = 1e-5, boxes: int = BOXES) -> WorstCase:
-    """How many times as large the box of parameters can be made before the loop loses stability, from both sides.
-
-    The box is made larger about the nominal values, each range up and down by the same factor.
-
-    Parameters
-    ----------
-    loop, controller, tol, boxes : as of `worst_gain`; inputs and outputs of the loop do not matter
-
-    Returns
-    -------
-    WorstCase : the loop is proved stable on the whole box made `lower` times as large; at `parameters`, in the box
-        `upper` times as large, it has the unstable pole `eigenvalue`. `upper` is inf where no instability was found up
-        to a hundred times the box.
-
-    Raises
-    ------
-    ModelError : as `worst_gain`.
-
-    Reference: as `worst_gain`.
-    """
-    ask = _asked(loop, controller, tol, boxes)
-    pencil, N = Pencil.of(ask.G, ask.box), search.Numbers(ask.G, ask.box)
-    if not pencil.is_stable_at(pencil.nominal):
-        return _margin(ask, N, np.zeros(len(ask.box)), None, "the loop is not stable at the nominal parameters")
-    size, worst = robust.size_of_stability(pencil), _nearest(pencil, N)
-    if not robust.fits(pencil, size, bordered=False):
-        return _margin(ask, N, worst, None, _too_large(pencil, size, bordered=False))
-    most, distance, outcome, proof = ask.most(size), ask.tol, None, None
-    few = most // FEW
-    for _ in range(TRIES):
-        found = search.FARTHEST if worst is None else float(np.abs(worst).max())
-        level = found if worst is None and distance == ask.tol else found / (1 + distance)
-        larger = Pencil.of(ask.G, ask.box, Fraction(level))
-        edges, bits, start = _accurate(N, larger, robust.stability_pieces)
-        outcome = explored(start, robust.excludes_zero, few, lambda _: None)
-        if outcome.proved:
-            proof = Proof(level, bits, edges, outcome)
-            break
-        nearer = _nearest(pencil, N, _doubtful(outcome, N, edges, level)[0])
-        if nearer is not None and np.abs(nearer).max() < found * (1 - NEWS * ask.tol):
-            worst, few = nearer, most // FEW
-        elif few < most:  # nothing worse is in the boxes that are left: more of them may tell
-            few = most
-        else:
-            distance *= WIDER
-        if distance > WIDEST:
-            break
-    return _margin(ask, N, worst, proof, _note("a margin", most, outcome, proof, wide=distance > ask.tol))
-
-
-wcgain, robstab = worst_gain, stability_margin  # MATLAB's names
+wcgain = worst_gain  # MATLAB's name
 
 
 class Proof(NamedTuple):
@@ -209,7 +157,8 @@ class Asked(NamedTuple):
         return max(min(self.boxes, WORK // size), 1000)
 
 
-def _asked(loop: Any, controller: Any, tol: Any, boxes: Any) -> Asked:
+def asked(loop: Any, controller: Any, tol: Any, boxes: Any) -> Asked:
+    """Arguments that are ones, the loop closed."""
     if not isinstance(loop, UncertainSystem):
         raise ModelError(f"loop is {shown(loop)}; pass an UncertainSystem, whose matrices hold ureal parameters")
     if controller is not None:
@@ -231,37 +180,17 @@ def _asked(loop: Any, controller: Any, tol: Any, boxes: Any) -> Asked:
 def _climbed(pencil: Pencil, N: search.Numbers, *starts: Any) -> tuple[np.ndarray | None, list[search.Peak]]:
     """An unstable point, exactly so, or large gains, the largest first."""
     unstable, peaks = search.worst_gain(N, *starts)
-    if unstable is not None and pencil.is_stable_at(_exact(N, unstable)):  # by rounding alone
+    if unstable is not None and pencil.is_stable_at(exact_point(N, unstable)):  # by rounding alone
         unstable, peaks = search.worst_gain(N, *starts, stable_below=search.ROUNDED)
     return unstable, peaks
 
 
-def _nearest(pencil: Pencil, N: search.Numbers, *starts: Any) -> np.ndarray | None:
-    """An unstable point, exactly so, in a box as small as was found; eigenvalues may be wrong, so it is moved on."""
-    t = search.nearest_instability(N, *starts)
-    if t is None:
-        return None
-    stable = pencil.is_stable_at(_exact(N, t))
-    for k in range(1, 22):
-        other = 1 + (NEAREST if stable else -NEAREST) * 4**k
-        if pencil.is_stable_at(_exact(N, t * other)) != stable:
-            break
-    else:
-        return None if stable else t
-    low, high = (1.0, other) if stable else (other, 1.0)
-    for _ in range(HALVINGS):
-        if high - low < NEAREST:
-            break
-        middle = (low + high) / 2
-        low, high = (middle, high) if pencil.is_stable_at(_exact(N, t * middle)) else (low, middle)
-    return t * high
-
-
-def _exact(N: search.Numbers, t: np.ndarray) -> list[fmpq]:
+def exact_point(N: search.Numbers, t: np.ndarray) -> list[fmpq]:
+    """Parameters at t, as they are."""
     return [rational(x) for x in N.values(t)]
 
 
-def _accurate(N: search.Numbers, pencil: Pencil, make: Callable) -> Any:
+def accurate(N: search.Numbers, pencil: Pencil, make: Callable) -> Any:
     """Edges of pieces of frequency, precision, and polynomials whose balls are small beside rounding to doubles."""
     found: Any = None
     for shift in SHIFTED:
@@ -295,7 +224,7 @@ def _above(gain: float, distance: float) -> float:
     return float(np.nextafter(gain * (1 + distance), np.inf)) if gain > NOTHING else 2 * NOTHING
 
 
-def _doubtful(
+def doubtful(
     outcome: Outcome, N: search.Numbers, edges: list[float], scale: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points t from which to search again, and frequencies: where a level is refuted, or what is left undecided."""
@@ -315,24 +244,25 @@ def _doubtful(
     return N.fractions(points[:, 1:], scale), np.clip(w, edges[0] / 1e3, edges[-1] * 1e3)
 
 
-def _frequency(G: UncertainSystem, pole: complex) -> float:
+def frequency_of(G: UncertainSystem, pole: complex) -> float:
     """Of a pole, in rad/s."""
     return float(abs(np.angle(pole)) / G.dt) if G.discrete else abs(pole.imag)
 
 
-def _named(ask: Asked, values: np.ndarray) -> dict[str, float]:
+def named_point(ask: Asked, values: np.ndarray) -> dict[str, float]:
+    """Parameters by name."""
     return {p.name: float(x) for p, x in zip(ask.box, values, strict=True)}
 
 
 def _unstable(ask: Asked, N: search.Numbers, t: np.ndarray) -> WorstCase:
-    pole = Pencil.of(ask.G, ask.box).worst_pole(_exact(N, t))
+    pole = Pencil.of(ask.G, ask.box).worst_pole(exact_point(N, t))
     return WorstCase(
-        quantity=GAIN, lower=np.inf, upper=np.inf, parameters=_named(ask, N.values(t)),
-        frequency=_frequency(ask.G, pole), eigenvalue=pole, norm=np.inf, note="", boxes=0, certificate=None,
+        quantity=GAIN, lower=np.inf, upper=np.inf, parameters=named_point(ask, N.values(t)),
+        frequency=frequency_of(ask.G, pole), eigenvalue=pole, norm=np.inf, note="", boxes=0, certificate=None,
     )  # fmt: skip
 
 
-def _too_large(pencil: Pencil, size: int, *, bordered: bool) -> str:
+def too_large(pencil: Pencil, size: int, *, bordered: bool) -> str:
     """What does not fit, and what would."""
     r = dict(zip(pencil.names, pencil.degrees(bordered=bordered), strict=True))
     dear = max(r, key=lambda name: r[name])
@@ -343,7 +273,7 @@ def _too_large(pencil: Pencil, size: int, *, bordered: bool) -> str:
     )
 
 
-def _note(what: str, most: int, outcome: Outcome | None, proof: Proof | None, *, wide: bool) -> str:
+def remark(what: str, most: int, outcome: Outcome | None, proof: Proof | None, *, wide: bool) -> str:
     """Why the bounds are not as near as they were asked for, and what would help."""
     if proof:
         return f"levels nearer to the one found were left undecided by at most {most} boxes in doubles" if wide else ""
@@ -357,14 +287,14 @@ def _note(what: str, most: int, outcome: Outcome | None, proof: Proof | None, *,
 def _gain(ask: Asked, peak: search.Peak, proof: Proof | None, note: str) -> WorstCase:
     """The result, with the norm measured again where the gain is largest."""
     G, pencil = ask.G, Pencil.of(ask.G, ask.box)
-    point = _named(ask, peak.values)
+    point = named_point(ask, peak.values)
     H, unit = G.at(point), 2.0 ** round(np.log2(peak.gain)) if peak.gain > NOTHING else 1.0
     norm, omega = hinfnorm(replace(H, C=H.C / unit, D=H.D / unit))
     tries = [peak.w, float(np.tan(omega * G.dt / 2)) if G.discrete else omega]
     bits = proof.bits if proof else BITS[0]
     lower, w = max((float(gain_at(pencil, point, w, bits).lower()) * (1 - SAFE), w) for w in tries if np.isfinite(w))
     claimed = (lower, point, w) if lower > 0 else (0.0, {}, 0.0)
-    certificate = proof and _certificate(ask, GAIN, proof, *claimed)
+    certificate = proof and certified(ask, GAIN, proof, *claimed)
     return WorstCase(
         quantity=GAIN, lower=lower, upper=proof.level if proof else np.inf, parameters=point,
         frequency=float(2 * np.arctan(w) / G.dt) if G.discrete else w, eigenvalue=None, norm=norm * unit, note=note,
@@ -372,26 +302,10 @@ def _gain(ask: Asked, peak: search.Peak, proof: Proof | None, note: str) -> Wors
     )  # fmt: skip
 
 
-def _margin(ask: Asked, N: search.Numbers, worst: np.ndarray | None, proof: Proof | None, note: str) -> WorstCase:
-    """The result, with a point that is unstable exactly."""
-    point, upper, pole, frequency = {}, np.inf, None, np.nan
-    if worst is not None:
-        point = _named(ask, N.values(worst))
-        upper = float(np.nextafter(float(scale_of(ask.box, point)), np.inf)) if worst.any() else 0.0
-        pole = Pencil.of(ask.G, ask.box).worst_pole(_exact(N, worst))
-        frequency = _frequency(ask.G, pole)
-    lower = proof.level if proof else 0.0
-    certificate = proof and _certificate(ask, STABILITY, proof, upper, point, 0.0)
-    return WorstCase(
-        quantity=STABILITY, lower=lower, upper=upper, parameters=point, frequency=frequency, eigenvalue=pole,
-        norm=np.inf if point else np.nan, note=note, boxes=proof.outcome.boxes if proof else 0,
-        certificate=certificate,
-    )  # fmt: skip
-
-
-def _certificate(
+def certified(
     ask: Asked, quantity: str, proof: Proof, reached: float, point: dict[str, float], w: float
 ) -> BoxCertificate:
+    """What was proved, with what proves it again."""
     return BoxCertificate(
         quantity=quantity, level=proof.level, reached=reached, point=point, w=w, system=ask.G, bits=proof.bits,
         edges=tuple(proof.edges), script=tuple(proof.outcome.script),

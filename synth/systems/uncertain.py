@@ -10,7 +10,7 @@ of a loop meet, I - Dk D22 has no polynomial inverse either: the control becomes
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -19,7 +19,7 @@ import numpy as np
 
 from synth.checks import as_flag, as_names, as_number, as_sign, as_timebase, as_whole, shown, timebase_told
 from synth.errors import ModelError
-from synth.systems.parameters import ZERO, Parameter, as_expression, as_expressions, joined
+from synth.systems.parameters import ZERO, Expression, Parameter, as_expression, as_expressions, joined
 from synth.systems.realization import Matrices, is_singular
 from synth.systems.statespace import StateSpace, as_system
 from synth.systems.timebase import common_timebase
@@ -186,6 +186,26 @@ class UncertainSystem:
     def close(self, K: Any) -> UncertainSystem:
         """Closed loop from w to z under u = K y, with as many u and y as K has; also takes a `Design`."""
         return self.lft(getattr(K, "closing", K))
+
+    def with_ranges(self, box: Sequence[Parameter]) -> UncertainSystem:
+        """The system whose parameters of these names have these ranges and nominal values.
+
+        Raises
+        ------
+        ModelError : the box is no list of parameters.
+        """
+        if not isinstance(box, list | tuple) or not all(isinstance(p, Parameter) for p in box):
+            raise ModelError(f"box is {shown(box)}; pass a list of parameters, as parameters.values() has them")
+        found = {p.name: p for p in box}
+
+        def ranged(M: np.ndarray) -> np.ndarray:
+            moved = M.copy()
+            for at, x in np.ndenumerate(M):
+                moved[at] = Expression(x.terms, x.parameters | {n: p for n, p in found.items() if n in x.parameters})
+            return moved
+
+        E, A, B, C, D = map(ranged, (self.E, self.A, self.B, self.C, self.D))
+        return UncertainSystem(E, A, B, C, D, self.dt, self.u, self.y)
 
     def __repr__(self) -> str:
         ranges = ", ".join(f"{p.name} in [{p.low:g}, {p.high:g}]" for p in self.parameters.values())
