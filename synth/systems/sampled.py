@@ -26,6 +26,7 @@ import scipy.linalg as sla
 from synth.checks import as_choice, as_period, numerical, timebase_told
 from synth.errors import ModelError
 from synth.systems.generalized import GeneralizedPlant
+from synth.systems.parameters import as_expression
 from synth.systems.realization import Matrices, rescaled, state_scales
 from synth.systems.statespace import StateSpace, as_system
 from synth.systems.uncertain import UncertainSystem, algebraic, eye, zeros
@@ -48,7 +49,8 @@ def c2d(G: Any, dt: float, method: str = "zoh") -> Any:
     Parameters
     ----------
     G : continuous system, in any form that `system` takes, or an uncertain one, whose `"tustin"` and `"midpoint"` are
-        exact in the parameters; its hold equivalent is no polynomial in them
+        exact in the parameters; so is its hold equivalent where the exponential series ends, as of rigid bodies, and
+        where parameters are in B, C and D alone
     dt : sampling time in seconds, positive
     method : "zoh", "tustin" or "midpoint", E (x+ - x) = dt (A (x+ + x)/2 + B u) with u held: the hold equivalent
         itself of double integrators, such as the axes of a body at rest, and off it by (A dt)^3/12 to third order of
@@ -57,7 +59,7 @@ def c2d(G: Any, dt: float, method: str = "zoh") -> Any:
     Raises
     ------
     ModelError : G is no system or is discrete already, dt is not positive, 2/dt is a pole, algebraic states where the
-        midpoint rule has none.
+        midpoint rule has none, or the hold equivalent of an uncertain system is no polynomial in its parameters.
     """
     G = G if isinstance(G, UncertainSystem) else as_system("G", G)
     if G.discrete:
@@ -65,7 +67,7 @@ def c2d(G: Any, dt: float, method: str = "zoh") -> Any:
     dt = as_period(dt)
     as_choice("method", method, ("zoh", "tustin", "midpoint"))
     if isinstance(G, UncertainSystem):
-        return _uncertain_midpoint(G, dt) if method == "midpoint" else _uncertain_tustin(G, dt, method)
+        return {"zoh": _uncertain_hold, "tustin": _uncertain_tustin, "midpoint": _uncertain_midpoint}[method](G, dt)
     if G.n == 0:
         return replace(G, dt=dt)
     if method == "zoh":
@@ -83,14 +85,67 @@ def c2d(G: Any, dt: float, method: str = "zoh") -> Any:
         ) from None
 
 
-def _uncertain_tustin(G: UncertainSystem, dt: float, method: str) -> UncertainSystem:
+def _uncertain_hold(G: UncertainSystem, dt: float) -> UncertainSystem:
+    """The hold equivalent x+ = x + dt v1 + dt^2/2 v2 + ..., E v1 = A x + B u, E v2 = A v1, ..., where v ends.
+
+    The v are algebraic states, so that nothing is divided by a parameter; zeros of E and A say which there are.
+    """
+    if not algebraic(G.E).any():
+        if not any(entry.parameters for M in (G.E, G.A) for entry in M.flat):
+            F = G.nominal.A
+            exponential = sla.expm(dt * np.block([[F, np.eye(G.n)], [np.zeros((G.n, 2 * G.n))]]))
+            E = np.array([[entry.nominal for entry in row] for row in G.E])
+            held = exponential[: G.n, G.n :] @ np.linalg.inv(E) @ G.B
+            return UncertainSystem(None, exponential[: G.n, : G.n], held, G.C, G.D, dt, G.u, G.y)
+        if (chain := _derivatives(G)) is not None:
+            return _taylor(G, dt, chain)
+    raise ModelError(
+        "method is 'zoh', and the hold equivalent of this uncertain system is no polynomial in its parameters: its "
+        "exponential series does not end; pass method='tustin' or 'midpoint', which are exact maps of their own, or "
+        "sample G.at(values)"
+    )
+
+
+def _derivatives(G: UncertainSystem) -> list[np.ndarray] | None:
+    """Which states have a derivative of order 1, 2, ... under a held input; None where they do not end.
+
+    By the zeros of E and A: states have none if their rows of A see only states without one of the order before, and
+    their rows of E one another.
+    """
+    E, A = (np.array([[not entry.is_zero for entry in row] for row in M], bool).reshape(M.shape) for M in (G.E, G.A))
+    chain = [np.ones(G.n, bool)]
+    while chain[-1].any():
+        if len(chain) > G.n + 1:
+            return None
+        moving = A[:, chain[-1]].any(axis=1)
+        for _ in range(G.n):
+            moving = moving | np.any(E[:, moving], axis=1)
+        chain.append(np.asarray(moving, bool))
+    return chain[:-1]
+
+
+def _taylor(G: UncertainSystem, dt: float, chain: list[np.ndarray]) -> UncertainSystem:
+    """The series with the derivatives of `chain` as algebraic states."""
+    parts = [np.flatnonzero(moving) for moving in chain]
+    starts = np.cumsum([G.n, *(len(part) for part in parts)])
+    n, x = int(starts[-1]), range(G.n)
+    E, A, B, C = zeros(n, n), zeros(n, n), zeros(n, G.nu), zeros(G.ny, n)
+    E[np.ix_(x, x)] = A[np.ix_(x, x)] = eye(G.n)
+    C[:, x] = G.C
+    before, factor = np.arange(G.n), Fraction(1)
+    for k, part in enumerate(parts):
+        own, factor = range(int(starts[k]), int(starts[k + 1])), factor * Fraction(dt) / (k + 1)
+        A[part, own] = [as_expression("dt", factor)] * len(part)
+        A[np.ix_(own, own)] = -G.E[np.ix_(part, part)]
+        source = range(G.n) if k == 0 else range(int(starts[k - 1]), int(starts[k]))
+        A[np.ix_(own, source)] = G.A[np.ix_(part, before)]
+        before = part
+    B[starts[0] : starts[1]] = G.B
+    return UncertainSystem(E, A, B, C, G.D, dt, G.u, G.y)
+
+
+def _uncertain_tustin(G: UncertainSystem, dt: float) -> UncertainSystem:
     """Tustin's map without an inverse: (2/dt) E (q - x) = A (q + x) + B u with x+ = q, an algebraic state."""
-    if method == "zoh":
-        raise ModelError(
-            "method is 'zoh', and the hold equivalent of an uncertain system is no polynomial in its parameters; pass "
-            "method='midpoint', which is that of double integrators and near it for others, 'tustin', which keeps "
-            "norms, or sample G.at(values)"
-        )
     fixed = algebraic(G.E)
     E, A = G.E * (2 / Fraction(dt)), G.A
     x, a = np.flatnonzero(~fixed), np.flatnonzero(fixed)

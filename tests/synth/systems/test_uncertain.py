@@ -177,3 +177,43 @@ def test_the_midpoint_rule_is_the_hold_of_a_body_at_rest_and_of_third_order_else
     G = random_system(1).nominal
     off = [np.abs(synth.c2d(G, h, "midpoint").A - synth.c2d(G, h).A).max() for h in (1e-2, 5e-3)]
     assert off[0] / off[1] == pytest.approx(8.0, rel=0.05)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000))
+def test_the_hold_equivalent_of_bodies_is_exact_in_their_masses(seed):
+    """Chains of integrators behind coupled masses, with parameters in B and C too."""
+    rng = np.random.default_rng(seed)
+    n, dt = int(rng.integers(1, 4)), float(10 ** rng.uniform(-2, 1))
+    m, b = ureal("m", 1.5, percentage=40), ureal("b", 1.0, percentage=10)
+    V = rng.normal(size=(n, n))
+    M = (np.eye(n) + V @ V.T).astype(object)
+    M[0, 0] = M[0, 0] + m
+    I, Z = np.eye(n), np.zeros((n, n))
+    order = rng.permutation(2 * n)
+    E, A = np.block([[I, Z], [Z, M]])[np.ix_(order, order)], np.block([[Z, I], [Z, Z]])[np.ix_(order, order)]
+    G = UncertainSystem(E, A, np.vstack([Z, I])[order] * b, np.hstack([b * I, rng.normal() * I])[:, order])
+    found = synth.c2d(G, dt)
+    for v, H in G.sample(3, seed):
+        np.testing.assert_allclose(response(found.at(v)), response(synth.c2d(H, dt)), rtol=1e-8)
+        assert found.at(v).n == 2 * n
+
+
+def test_the_hold_equivalent_with_certain_poles_and_of_what_has_none():
+    k, c = ureal("k", 1.0, percentage=40), ureal("c", 1.0, percentage=10)
+    G = UncertainSystem([[2, 0], [0.5, 1]], [[0, 1], [-1, -0.1]], [0, k], [1, c])
+    for v, H in G.sample(3):
+        np.testing.assert_allclose(response(synth.c2d(G, 0.3).at(v)), response(synth.c2d(H, 0.3)), rtol=1e-10)
+    for F in (UncertainSystem(A=-k, B=1, C=1), UncertainSystem([[k, 0], [0, 0]], [[0, 1], [0, 1]], [1, 1], [1, 0])):
+        with pytest.raises(ModelError, match="tustin"):
+            synth.c2d(F, 0.3)
+
+
+def test_a_sampled_body_is_proved_over_its_inertia():
+    J = ureal("J", 2.0, percentage=30)
+    G = synth.c2d(UncertainSystem([[1, 0], [0, J]], [[0, 1], [0, 0]], [0, 1], [1, 0]), 0.1)
+    K = synth.system([[0.0]], [[1.0]], [[1.0]], [[-1.4]], dt=0.1)  # -(1.4 - 1/z)
+    found = synth.worst_gain(G.feedback(K, 1))
+    assert found.gap < 2e-5
+    worst = [synth.hinfnorm(H.feedback(K, 1))[0] for _, H in G.gridded(9)]
+    assert max(worst) <= found.upper < max(worst) * (1 + 1e-3)
