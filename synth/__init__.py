@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from synth.analysis.gap import gapmetric as gapmetric
     from synth.analysis.mu import Mu as Mu
     from synth.analysis.mu import mussv as mussv
+    from synth.analysis.gap import nugap as nugap
     from synth.analysis.norms import h2norm as h2norm
     from synth.analysis.norms import hinfnorm as hinfnorm
     from synth.analysis.norms import verify as verify
@@ -63,8 +64,8 @@ if TYPE_CHECKING:
     from synth.proof.stability import robstab as robstab
     from synth.proof.stability import stability_margin as stability_margin
     from synth.proof.worstcase import WorstCase as WorstCase
-    from synth.proof.worstcase import wcgain as wcgain
-    from synth.proof.worstcase import worst_gain as worst_gain
+    from synth.proof.worstgain import wcgain as wcgain
+    from synth.proof.worstgain import worst_gain as worst_gain
     from synth.regulators.antiwindup import AntiWindup as AntiWindup
     from synth.regulators.controller import Controller as Controller
     from synth.regulators.controller import LinearController as LinearController
@@ -105,6 +106,7 @@ if TYPE_CHECKING:
     from synth.systems.statespace import StateSpace as StateSpace
     from synth.systems.statespace import system as system
     from synth.systems.uncertain import UncertainSystem as UncertainSystem
+    from synth.systems.unmodelled import ultidyn as ultidyn
 
 _HOME = {
     "Acceptance": "delivery.acceptance",
@@ -183,6 +185,7 @@ _HOME = {
     "ncfmargin": "analysis.coprime",
     "ncfsyn": "synthesis.loopshaping",
     "nichols": "delivery.frequencyplots",
+    "nugap": "analysis.gap",
     "nyquist": "delivery.frequencyplots",
     "proportional_derivative": "regulators.controller",
     "pzmap": "delivery.timeplots",
@@ -198,11 +201,12 @@ _HOME = {
     "state_feedback": "regulators.controller",
     "step": "delivery.timeplots",
     "system": "systems.statespace",
+    "ultidyn": "systems.unmodelled",
     "ureal": "systems.parameters",
     "verify": "analysis.norms",
     "verify_signature": "delivery.signatures",
-    "wcgain": "proof.worstcase",
-    "worst_gain": "proof.worstcase",
+    "wcgain": "proof.worstgain",
+    "worst_gain": "proof.worstgain",
 }
 
 __all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -136,6 +136,7 @@ OF_A_SYSTEM: dict[str, Callable[[Any, float], Any]] = {
     "ncfmargin": lambda G, dt: synth.ncfmargin(G, 0.3),
     "ncfsyn": lambda G, dt: gamma(synth.ncfsyn(G)),
     "nichols": lambda G, dt: curve(synth.nichols(G, omega=OMEGA)),
+    "nugap": lambda G, dt: synth.nugap([G, 2.0]).radius,
     "nyquist": lambda G, dt: curve(synth.nyquist(G, omega=OMEGA)),
     "pzmap": lambda G, dt: np.sort(np.abs(curve(synth.pzmap(G)))),
     "series": lambda G, dt: response(synth.series(G, G)) + response(synth.series(G, 2.0)),
@@ -148,7 +149,7 @@ OF_ANOTHER_SYSTEM = {"export", "mpc"}  # tested below
 WITHOUT_A_SYSTEM = {
     "care", "dare", "keygen", "sign", "verify_signature", "proportional_derivative",
     "quaternion_lqr", "quaternion_pd", "quaternion_pid", "read_study",
-    "robstab", "stability_margin", "state_feedback", "ureal", "wcgain", "worst_gain",
+    "robstab", "stability_margin", "state_feedback", "ultidyn", "ureal", "wcgain", "worst_gain",
 }  # fmt: skip
 
 
@@ -311,6 +312,7 @@ RIGHT: dict[str, dict[str, Any]] = {
               "tol": 1e-3},
     "ncfmargin": {"P": CONTINUOUS, "K": 0.3, "sign": -1},
     "ncfsyn": {"G": CONTINUOUS, "W1": 1.0, "W2": 1.0, "gamma_factor": 1.1, "gamma": None, "method": "riccati"},
+    "nugap": {"models": [CONTINUOUS, 2.0], "nominal": CONTINUOUS},
     **{name: {"systems": CONTINUOUS, "ax": None, "omega": None} for name in ("bode", "nichols", "nyquist", "sigma")},
     **{name: {"systems": CONTINUOUS, "ax": None, "time": None} for name in ("impulse", "step")},
     "pzmap": {"systems": CONTINUOUS, "ax": None},
@@ -328,9 +330,10 @@ RIGHT: dict[str, dict[str, Any]] = {
     "system": {"dt": 0.0, "u": ("u",), "y": ("y",), "units": None},
     **{
         name: {"loop": UNCERTAIN, "controller": None, "tol": 1e-4, "boxes": 100} | more
-        for names, more in ((("wcgain", "worst_gain"), {}), (("robstab", "stability_margin"), {"growing": ("J",)}))
-        for name in names
+        for name, more in (("wcgain", {"dynamics": None}), ("worst_gain", {"dynamics": None}),
+                           ("robstab", {"growing": ("J",)}), ("stability_margin", {"growing": ("J",)}))
     },
+    "ultidyn": {"name": "flex", "shape": (1, 2), "bound": 0.1, "weight": CONTINUOUS},
     "ureal": {"name": "J", "nominal": 1.0, "range": (0.5, 2.0), "percentage": None, "plusminus": None},
     "verify": {"system": CONTINUOUS},
 }  # fmt: skip

@@ -25,13 +25,16 @@ import scipy.linalg as sla
 from synth.analysis.coprime import balanced, gang_of_four, left_factors, right_factors, solutions
 from synth.analysis.norms import hinfnorm, in_principal_axes, spectral_radius
 from synth.analysis.precondition import check_assumptions
+from synth.checks import shown
 from synth.equations.doubling import is_positive, solve_riccati
 from synth.errors import ModelError
 from synth.systems.connect import series
 from synth.systems.sampled import loop_rate, on_circle
 from synth.systems.statespace import StateSpace, as_systems
+from synth.systems.uncertain import UncertainSystem
 
 TOLERANCE = 1e-9  # of the gap, absolute
+MOST_VERTICES, SAMPLES = 5, 8  # parameters whose vertices are models of a box, and samples besides
 
 
 class Gap(NamedTuple):
@@ -77,6 +80,60 @@ def gapmetric(G1: Any, G2: Any) -> Gap:
     P = _mismatch(R1, left_factors(H2))
     nugap = min(hinfnorm(P)[0], 1.0)
     return Gap(_directed_gap(R1, R2, P, nugap), nugap)
+
+
+class Neighbours(NamedTuple):
+    """A model and how far a set is from it in the nu-gap."""
+
+    nominal: StateSpace
+    index: int | None  # of the nominal model among the models, None where it was given
+    radius: float  # the largest nu-gap, 1 where no one controller may do for all
+    nugaps: np.ndarray  # (k,) of every model to the nominal one
+
+
+def nugap(models: Any, nominal: Any = None) -> Neighbours:
+    """Nu-gaps of a set of models to a nominal one, by default to the member that is nearest to the farthest of them.
+
+    A controller with ncfmargin(nominal, K) > radius stabilises every model of the set.
+
+    Parameters
+    ----------
+    models : list of (p x m) plants, each in any form that `system` takes, or an UncertainSystem, of which the nominal
+        model, vertices and samples are taken: not the whole box
+    nominal : the model in the middle; a member is chosen when left out
+
+    Returns
+    -------
+    Neighbours : unpacks as nominal, index, radius, nugaps
+
+    Raises
+    ------
+    ModelError : there are no models, or sizes or timebases differ.
+    AssumptionError : as `gapmetric`.
+
+    Reference: Vinnicombe (2001), Uncertainty and Feedback, section 3.2.
+    """
+    if isinstance(models, UncertainSystem):
+        vertices = models.gridded(2) if len(models.parameters) <= MOST_VERTICES else []
+        models = [models.nominal, *(G for _, G in (*vertices, *models.sample(SAMPLES)))]
+    if not isinstance(models, list | tuple) or not models:
+        raise ModelError(f"models is {shown(models)}; pass a list of models, or an UncertainSystem")
+    named = {f"models[{i}]": G for i, G in enumerate(models)} | ({} if nominal is None else {"nominal": nominal})
+    plants = list(as_systems(**named))
+    sizes = [f"{G.ny} x {G.nu}" for G in plants]
+    if len(set(sizes)) > 1:
+        told = ", ".join(f"{name} is {size}" for name, size in zip(named, sizes, strict=True))
+        raise ModelError(f"{told}; models, and nominal, must have the same size")
+    if nominal is not None:
+        middle = plants.pop()
+        gaps = np.array([gapmetric(middle, G).nugap for G in plants])
+        return Neighbours(middle, None, float(gaps.max()), gaps)
+    table = np.zeros((len(plants), len(plants)))
+    for i, G in enumerate(plants):
+        for j in range(i):
+            table[i, j] = table[j, i] = gapmetric(G, plants[j]).nugap
+    best = int(table.max(axis=1).argmin())
+    return Neighbours(plants[best], best, float(table[best].max()), table[best])
 
 
 def _mismatch(R1: StateSpace, L2: StateSpace) -> StateSpace:

@@ -244,7 +244,7 @@ def worst_gain(
         poles = N.poles(t)
         if N.growth(t) >= stable_below * _size(N, poles):
             return t, []
-        w = np.unique([*_frequencies(N, poles), *frequencies])
+        w = np.unique([*pole_frequencies(N, poles), *frequencies])
         with np.errstate(all="ignore"):
             gains = np.nan_to_num(N.gains(t, w))
         tops = np.flatnonzero((gains >= np.append(gains[1:], 0)) & (gains >= np.insert(gains[:-1], 0, 0)))
@@ -262,7 +262,7 @@ def _size(N: Numbers, poles: np.ndarray) -> float:
     return 1.0 if N.discrete or not finite.size else float(np.median(finite)) or 1.0
 
 
-def _frequencies(N: Numbers, poles: np.ndarray) -> np.ndarray:
+def pole_frequencies(N: Numbers, poles: np.ndarray) -> np.ndarray:
     """Those of the poles and a few others, as w."""
     poles = N.in_plane(poles)
     moduli = np.abs(poles)[np.abs(poles) > 0]

@@ -35,7 +35,8 @@ from synth.checks import as_number, as_sign
 from synth.errors import ModelError, NumericalError
 from synth.proof.pencils import Pencil
 from synth.proof.stability import stability_margin
-from synth.proof.worstcase import WorstCase, worst_gain
+from synth.proof.worstcase import WorstCase
+from synth.proof.worstgain import worst_gain
 from synth.systems.parameters import Parameter, ureal
 from synth.systems.statespace import StateSpace, system
 from synth.systems.uncertain import UncertainSystem, as_uncertain, eye, product, series, zeros

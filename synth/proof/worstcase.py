@@ -1,4 +1,4 @@
-"""`worst_gain` of a loop over its box of parameters: found in doubles, proved in balls; what `stability` shares.
+"""The worst case of a loop over its box of parameters: found in doubles, proved in balls.
 
 The search (`analysis.worstcase`) gives a point and a level just beyond it; the proof (`robust`, `boxes`) holds there,
 or names a worse point, from which the search goes on, or leaves boxes undecided, and the next level is farther away.
@@ -24,7 +24,6 @@ from synth.proof.boxes import HIGHEST, Outcome, explored
 from synth.proof.pencils import Pencil, rational
 from synth.systems.parameters import Parameter
 from synth.systems.uncertain import UncertainSystem
-from synth.threads import one_thread
 
 BITS = (256, 512, 1024, 2048)  # as many as it takes for the rounding to doubles to be all that is lost
 BOXES = 200_000
@@ -81,30 +80,8 @@ class WorstCase:
         return "\n".join([found, proved, *([f"note: {self.note}"] if self.note else [])])
 
 
-@one_thread
-def worst_gain(loop: Any, controller: Any = None, *, tol: float = 1e-5, boxes: int = BOXES) -> WorstCase:
-    """The largest H-infinity norm of an uncertain loop over its box of parameters, from both sides.
-
-    Parameters
-    ----------
-    loop : UncertainSystem from w to z, closed; or an open one, with the controller
-    controller : K of u = K y (positive feedback), u and y the last inputs and outputs of the plant; a `Design` or any
-        description of a system
-    tol : relative distance of the bounds that is aimed at
-    boxes : how many boxes a proof may need
-
-    Returns
-    -------
-    WorstCase : `lower` is reached at `parameters`, where `norm` was measured again; the loop is proved stable with a
-        norm below `upper` on the whole box. Both are inf where an unstable point was found, with its `eigenvalue`.
-
-    Raises
-    ------
-    ModelError : there are no parameters, or arguments that are none.
-
-    Reference: theorem and assumptions are in `synth.proof.robust` and in docs/robust_box.md.
-    """
-    ask = asked(loop, controller, tol, boxes)
+def worst_of_box(ask: Asked) -> WorstCase:
+    """The worst gain over the parameters."""
     pencil, N = Pencil.of(ask.G, ask.box), search.Numbers(ask.G, ask.box)
     unstable, peaks = (np.zeros(len(ask.box)), []) if not pencil.is_stable_at(pencil.nominal) else _climbed(pencil, N)
     if unstable is not None:
@@ -130,9 +107,6 @@ def worst_gain(loop: Any, controller: Any = None, *, tol: float = 1e-5, boxes: i
         if distance > WIDEST:
             break
     return _gain(ask, peaks[0], proof, remark("an upper bound", most, outcome, proof, wide=distance > ask.tol))
-
-
-wcgain = worst_gain  # MATLAB's name
 
 
 class Proof(NamedTuple):

@@ -5,11 +5,13 @@ import pytest
 from scipy.signal import tf2ss
 
 from synth.analysis.coprime import ncfmargin, right_factors
-from synth.analysis.gap import gapmetric
+from synth.analysis.gap import gapmetric, nugap
 from synth.errors import AssumptionError, ModelError
 from synth.synthesis.loopshaping import ncfsyn
+from synth.systems.parameters import ureal
 from synth.systems.sampled import c2d, on_circle
 from synth.systems.statespace import StateSpace
+from synth.systems.uncertain import UncertainSystem
 
 
 def tf(num, den) -> StateSpace:
@@ -164,10 +166,10 @@ def test_a_margin_above_the_gap_survives():
     kept = 0
     for seed in range(20):
         P2 = perturbed(P1, seed, 0.03)
-        nugap = gapmetric(P1, P2).nugap
-        if nugap < b1:
+        distance = gapmetric(P1, P2).nugap
+        if distance < b1:
             kept += 1
-            assert np.arcsin(ncfmargin(P2, K, 1)) >= np.arcsin(b1) - np.arcsin(nugap) - 1e-6
+            assert np.arcsin(ncfmargin(P2, K, 1)) >= np.arcsin(b1) - np.arcsin(distance) - 1e-6
     assert kept > 5
 
 
@@ -179,3 +181,27 @@ def test_bad_input_is_named():
     hidden = StateSpace(np.diag([1.0, -2.0]), [[0.0], [1.0]], [[1.0, 1.0]], [[0.0]])
     with pytest.raises(AssumptionError, match="eigenvalue 1 "):
         gapmetric(hidden, A)
+
+
+def test_the_member_that_covers_a_set_best():
+    """RobustAndOptimalControl.jl, issue 80: of a set the plant whose farthest neighbour is nearest."""
+    models = [tf([k], [1, 1]) for k in (1.0, 2.0, 3.0, 6.0)]
+    found = nugap(models)
+    table = np.array([[gapmetric(F, G).nugap for G in models] for F in models])
+    assert found.index == table.max(axis=1).argmin()
+    assert found.radius == pytest.approx(table.max(axis=1).min(), abs=1e-6)
+    assert nugap(models, models[0]).radius == pytest.approx(table[0].max(), abs=1e-6)
+    assert nugap(models, models[0]).index is None
+    K = ncfsyn(found.nominal).controller
+    assert ncfmargin(found.nominal, K, 1) > found.radius
+    assert min(ncfmargin(G, K, 1) for G in models) > 0
+    with pytest.raises(ModelError, match="models"):
+        nugap([])
+
+
+def test_the_models_of_a_box():
+    a = ureal("a", 1.0, percentage=30)
+    G = UncertainSystem(A=-a, B=1, C=1)
+    found = nugap(G)
+    assert 0 < found.radius < 0.3
+    assert found.radius >= nugap([found.nominal, *(H for _, H in G.gridded(2))], found.nominal).radius - 1e-7
