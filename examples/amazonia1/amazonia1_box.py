@@ -6,6 +6,7 @@ it; of slews from far away, and of wheels at their limits, these figures say not
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -53,7 +54,7 @@ def questions(built: Mapping[str, Any]) -> list[Question]:
     model = amazonia1.uncertain_model(INERTIA_SPREAD)
     return [
         Question(
-            name, "".join(c if c.isalnum() else "_" for c in name.lower()), model, amazonia1.wheeled_model,
+            name, "_".join(re.findall(r"\w+", name.lower())), model, amazonia1.wheeled_model,
             StateSpace(law.A, law.B, -law.C, -law.D, law.dt),  # the motors push the body the other way
             SHOWN, (INERTIA_SPREAD,),
         )

@@ -113,8 +113,9 @@ def tables(answers: Sequence[Answer], out: Path, *, quantity: str, model: str) -
         return []
     margins, gains = [], []
     for a in answers:
-        lost = (percent(a.lost, up=True), deviations(a, a.margin)) if a.margin.parameters else ("none found", "")
-        margins.append((a.question.controller, percent(a.stable), *lost))
+        lost = (rounded(100 * a.lost, 3, up=True), deviations(a, a.margin)) if a.margin.parameters else ("none", "")
+        within = rounded(100 * a.stable, 3, up=False) if a.margin.certificate is not None else "not proved"
+        margins.append((a.question.controller, within, *lost))
         for part, found in a.gains.items():
             gains.append((
                 a.question.controller, percent(part), f"{a.norm:.5g}", proved(found),
@@ -131,7 +132,7 @@ def tables(answers: Sequence[Answer], out: Path, *, quantity: str, model: str) -
         [(a.question, f"{100 * part:.3g}", found) for a in answers for part, found in a.gains.items()],
     )
     files = [saved(several, out) for several in named]
-    headers = ("controller", "proved stable within", "not stable at", "with")
+    headers = ("controller", "proved stable within, %", "not stable at, %", "with")
     found = [Table(STABILITY, headers, margins, note=f"{each} {left[0]} {seconds}".replace("  ", " "), files=files[0])]
     if gains:
         headers = ("controller", "box", "nominal", "proved below", "reached", "with", "the simulator's plant there")
@@ -160,7 +161,8 @@ def proved(found: Bounds) -> str:
 
 
 def findings(answers: Sequence[Answer], whose: str) -> list[str]:
-    """One sentence of what the answers say, none without any; `whose` parameters they are, such as "moments"."""
+    """One sentence of what the answers say, none without a proof; `whose` parameters they are, such as "moments"."""
+    answers = [a for a in answers if a.margin.certificate is not None]
     if not answers:
         return []
     most, least = max(answers, key=lambda a: a.stable), min(answers, key=lambda a: a.stable)
@@ -179,7 +181,7 @@ def findings(answers: Sequence[Answer], whose: str) -> list[str]:
         told = [min(grown, key=lambda g: g[0]), max(grown, key=lambda g: g[0])]
         grows = [f"{100 * g:.2g} % for {a.question.controller} over {percent(part)}" for g, part, a in told]
         text += f"; the worst gain is above the nominal one by at most {' and '.join(dict.fromkeys(grows))}"
-    return [f"With any {whose}, {text}."]
+    return [f"With all {whose} off at once, {text}."]
 
 
 def percent(part: float, up: bool = False) -> str:

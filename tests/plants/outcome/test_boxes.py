@@ -76,7 +76,7 @@ def test_pages_name_what_is_proved_and_offer_the_certificates(answers, tmp_path)
         BoxCertificate.load(tmp_path / name).check()
         assert f'href="{name}"' in stability.section().body + gain.section().body
     (sentence,) = boxes.findings(answers, "inertia")
-    assert sentence.startswith("With any inertia, soft is proved stable within ±89.9 % of each")
+    assert sentence.startswith("With all inertia off at once, soft is proved stable within ±89.9 % of each")
     assert "hard within ±34.9 %, and is not at ±35 %" in sentence
     assert "s of the processor" in stability.note
 
