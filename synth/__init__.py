@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from synth.analysis.diskmargins import diskmargin_at as diskmargin_at
     from synth.analysis.gap import Gap as Gap
     from synth.analysis.gap import gapmetric as gapmetric
+    from synth.analysis.gap import nugap as nugap
     from synth.analysis.mu import Mu as Mu
     from synth.analysis.mu import mussv as mussv
-    from synth.analysis.gap import nugap as nugap
     from synth.analysis.norms import h2norm as h2norm
     from synth.analysis.norms import hinfnorm as hinfnorm
     from synth.analysis.norms import verify as verify
