@@ -16,7 +16,7 @@ from typing import Any
 import jax
 import numpy as np
 from cubesat3u_box import MODEL, QUANTITY, WHOSE, WITHIN, questions
-from cubesat3u_budget import compared, composition, modelled, predicted, worst_inertia
+from cubesat3u_budget import compared, composition, modelled, momentum, predicted, worst_inertia
 from cubesat3u_claims import (
     BOUNDS,
     DIRECT,
@@ -173,9 +173,10 @@ def tell(found: Study, runs: int, seed: int, duration: float) -> None:
         surroundings, found.controllers["Hinf"], cubesat3u.ekf(), round(duration / cubesat3u.CONTROL_PERIOD)
     )
     flown = [case(Start(*(part[index] for part in drawn)), shared) for index in range(1, runs + 1)]
+    momenta = np.array([momentum(*pair) for pair in flown])
 
     def model(inertia: np.ndarray) -> dict[str, Any]:
-        return modelled(case(Start(inertia, np.zeros(3), np.zeros(3)), shared), flown, found.window)
+        return modelled(case(Start(inertia, np.zeros(3), np.zeros(3)), shared), momenta, found.window)
 
     nominal = model(cubesat3u.INERTIA)
     found.budget, found.worst_ape = predicted(nominal), worst_inertia(model, nominal)

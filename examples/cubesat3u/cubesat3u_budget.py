@@ -13,7 +13,7 @@ first: with it 6 of 36 levels lie outside of their intervals.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -41,6 +41,7 @@ from plants import (
 )
 from plants.missions.cubesat3u import DEG, REQUIREMENTS
 from plants.outcome.indices import error
+from plants.simulation.programs import Program
 
 EXPOSURE = 10.0  # s, window of MPE and RPE, ours
 SPACING = 60.0  # s, between the instants at which the loop is linearised, ours
@@ -73,29 +74,35 @@ def coordinates(flight: Any, memory: Any, env: Any) -> tuple[Any, Any]:
 def momentum(loop: Loop, scenario: Scenario) -> np.ndarray:
     """Inertial momentum at the start, (3,) N m s."""
     with jax.enable_x64(True):
-        x = scenario.initial
-        return np.asarray(attitude.rotate(attitude.conjugate(x.q), loop.plant.momentum(x)))
+        return np.asarray(inertial(loop.plant, scenario.initial))
 
 
-def modelled(middle: tuple[Loop, Scenario], flown: Sequence[tuple[Loop, Scenario]], window: float) -> dict[str, Any]:
+@Program
+def inertial(body: Any, x: Any) -> Any:
+    """Momentum of a body in inertial axes, (3,) N m s."""
+    return attitude.rotate(attitude.conjugate(x.q), body.momentum(x))
+
+
+def modelled(middle: tuple[Loop, Scenario], momenta: np.ndarray, window: float) -> dict[str, Any]:
     """Matrices and inputs of `budget`.
 
     Parameters
     ----------
     middle : the case about which the flown ones are dispersed
-    flown : cases whose momenta are taken as those of the population
+    momenta : (runs, 3) N m s of the flown ones, taken as those of the population
     window : s, start of the window of the indices
     """
     loop, scenario = middle
     periods = np.arange(round(window / PERIOD), scenario.periods, round(SPACING / PERIOD))
     model = linear_loop(loop, scenario, periods.tolist(), errors=errors, coordinates=coordinates)
-    spread = np.array([momentum(*case) for case in flown]) - momentum(loop, scenario)
-    spread = spread.T / np.sqrt(len(flown))  # (3, runs), its square the second moment of the momenta
+    spread = (momenta - momentum(loop, scenario)).T / np.sqrt(
+        len(momenta)
+    )  # (3, runs), its square the second moment of the momenta
 
     def inputs(columns: np.ndarray, mean: np.ndarray) -> np.ndarray:
         return np.concatenate([columns[..., :3] @ spread, columns[..., 6:], mean[..., None]], axis=-1)
 
-    runs, noise = len(flown), model.B.shape[-1] - 6
+    runs, noise = len(momenta), model.B.shape[-1] - 6
     sources = [name for name in SOURCES for _ in range(3)] * scenario.samples
     return {
         "matrices": (model.A, inputs(model.B, 0 * model.A[..., 0]), model.C, inputs(model.D, model.mean)),
