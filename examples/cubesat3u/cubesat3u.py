@@ -38,6 +38,7 @@ from cubesat3u_controllers import design_controllers, hinfinity, model
 from cubesat3u_figures import drawings, indices_figure
 from cubesat3u_findings import ABBREVIATIONS, counterparts, filters, findings, summary
 from cubesat3u_flights import (
+    VARYING,
     Shared,
     Start,
     applied,
@@ -125,18 +126,21 @@ def fly(found: Study, runs: int, seed: int, duration: float) -> None:
         return Shared(environment, found.controllers[controller], known[navigator], periods)
 
     def options(name: str) -> dict[str, Any]:
-        return {"seed": seed, "progress": False, "memory": MEMORY, **study.stored(found.flying, name)}
+        return {
+            "seed": seed,
+            "progress": False,
+            "memory": MEMORY,
+            "varying": VARYING,
+            **study.stored(found.flying, name),
+        }
 
-    def fly_all(
-        into: dict[str, Campaign], names: Any, how: Any, of: Any, label: str = "", varying: Any = (), **more: Any
-    ) -> None:
+    def fly_all(into: dict[str, Campaign], names: Any, how: Any, of: Any, label: str = "", **more: Any) -> None:
         for name in names:
             those = jax.tree.map(lambda part: part[:FEW], of) if name in BRIEF.get(label, ()) else of
             everything = (not label and name == PAPER_HINF) or label in KEPT
             flown = campaign(
                 how, those, shared(name, **more), measure=functools.partial(measure, start=found.window),
-                record=None if name.startswith("SVD") else ekf_record, varying=varying,
-                read=applied if how is case else None,
+                record=None if name.startswith("SVD") else ekf_record, read=applied if how is case else None,
                 keep=range(runs + 1) if everything else () if label else [0], **options(name + label),
             )  # fmt: skip
             into[name] = flown
@@ -154,8 +158,7 @@ def fly(found: Study, runs: int, seed: int, duration: float) -> None:
         fly_all(found.turned, TURNED, on_plane, (drawn, batch), " turned", environment=None)
         fly_all(found.quiet, QUIET, quiet, drawn, " quiet")
         fly_all(found.wide, WIDE, case, of_wide_inertia(drawn), " wide")
-        same = Start(*(np.repeat(part[:1], runs + 1, axis=0) for part in drawn))
-        fly_all(found.again, FILTERS, case, same, " again", varying=found.campaigns[HINF].varied)
+        fly_all(found.again, FILTERS, case, Start(*(np.repeat(part[:1], runs + 1, axis=0) for part in drawn)), " again")
         fly_all(found.night, NIGHT, case, drawn, " night", environment=into_night(duration))
         moved: dict[str, Campaign] = {}
         other = cubesat3u.environment(duration, moved_by=cubesat3u.perturbations())

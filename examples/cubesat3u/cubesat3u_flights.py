@@ -16,6 +16,9 @@ from plants.simulation.programs import Program
 
 SLOW = 10.0  # s, the other interval over which the stability is read, ours
 EVERY = 10.0  # s, between the samples at which the filters' errors are kept
+VARYING = (  # in some of the campaigns, so that all of them fly the same compiled programs
+    "[0].plant.inertia", "[0].plant.inverse", "[1].initial.q", "[1].initial.w", "[1].environment.splines",
+)  # fmt: skip
 WIDE = 0.5  # () of the moments of inertia: five times the dispersion of table 5, ours
 
 
