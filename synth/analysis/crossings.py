@@ -7,7 +7,9 @@ eigenvalues of two symplectic-like pencils (L~ is the transpose of L(1/z)):
     unit    L~ L - 1 = 0:  the pencil of the bounded-real lemma at level one (`norms.crossings`)
 
 Continuous loops go through the Cayley map. A candidate is then moved to where the response of the given system, of its
-own matrices, is real or of modulus one, and left out where it is not.
+own matrices, is real or of modulus one, and left out where it is not. Where rounding takes eigenvalues off the circle,
+as integrators beside fast poles do, they still tell how closely to look: a change of sign from one to the next is a
+crossing too.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ REAL = 1e-6  # |Im L| / |L| up to which a polished candidate counts as real
 UNIT = 1e-6  # distance of |L| from one up to which a polished candidate counts as a crossing
 NARROW, WIDE = 1e-6, 1e-2  # of an angle: where a change of sign is looked for
 AT_ORIGIN = 1e-6  # angle, its least unit
+BESIDE = 1e-3  # of a pole's angle: where the loop is looked at on both sides of it
 SAME = 1e-6  # difference of angles, and relative one of responses, that is rounding
 
 
@@ -70,9 +73,13 @@ def find(L: StateSpace) -> Crossings:
         except np.linalg.LinAlgError:
             return complex(np.inf)
 
-    ends = [0.0, np.pi]
-    real = [*ends, *_polished(_real_angles(mapped), lambda angle: response(angle).imag)]
-    unit = [*ends, *_polished(level_crossings(mapped, 1.0), lambda angle: abs(response(angle)) - 1)]
+    ends, (real_angles, others) = [0.0, np.pi], _real_angles(mapped)
+    unit_angles = level_crossings(mapped, 1.0)
+    moduli = np.abs(np.concatenate([poles[0], np.imag(poles[0])]))  # of continuous poles
+    own = np.abs(np.angle(poles[0])) if L.discrete else 2 * np.arctan(moduli / (rate or 1.0))
+    between = np.concatenate([real_angles, others, unit_angles, own * (1 - BESIDE), own * (1 + BESIDE)])
+    real = [*ends, *_polished(real_angles, between, lambda angle: response(angle).imag)]
+    unit = [*ends, *_polished(unit_angles, between, lambda angle: abs(response(angle)) - 1)]
     found = {angle: response(angle) for angle in sorted({*real, *unit})}
     is_real = [a for a in set(real) if np.isfinite(found[a]) and abs(found[a].imag) <= REAL * abs(found[a])]
     is_unit = [a for a in set(unit) if abs(abs(found[a]) - 1) <= UNIT]
@@ -93,8 +100,8 @@ def _apart(angles: list[float], found: dict[float, complex]) -> list[float]:
     return sorted(kept)
 
 
-def _real_angles(L: StateSpace) -> np.ndarray:
-    """Angles from 0 to pi at which a discrete loop may be real."""
+def _real_angles(L: StateSpace) -> tuple[np.ndarray, np.ndarray]:
+    """Angles from 0 to pi at which a discrete loop may be real, and those of the pencil's other eigenvalues."""
     O, n = np.zeros, L.n
     M = np.block([
         [L.A, O((n, n)), L.B],
@@ -107,12 +114,17 @@ def _real_angles(L: StateSpace) -> np.ndarray:
         [O((1, n)), L.B.T, O((1, 1))],
     ])  # fmt: skip
     alpha, beta = np.asarray(sla.eigvals(M, N, homogeneous_eigvals=True))
-    near = (np.abs(np.abs(alpha) - np.abs(beta)) <= NEAR_CIRCLE * np.abs(beta)) & (beta != 0)  # 0/0: of no frequency
-    return np.unique(np.abs(np.angle(alpha[near] / beta[near])))
+    alpha, beta = alpha[beta != 0], beta[beta != 0]  # 0/0: of no frequency
+    near = np.abs(np.abs(alpha) - np.abs(beta)) <= NEAR_CIRCLE * np.abs(beta)
+    angles = np.abs(np.angle(alpha / beta))
+    return np.unique(angles[near]), np.unique(angles[~near])
 
 
-def _polished(angles: np.ndarray, function: Callable[[float], float]) -> list[float]:
-    """Zeros of a function near the angles: bracketed where it changes sign, as they are where it does not."""
+def _polished(angles: np.ndarray, between: np.ndarray, function: Callable[[float], float]) -> list[float]:
+    """Zeros of a function near the angles: bracketed where it changes sign, as they are where it does not.
+
+    And those between neighbours of `between` where it changes sign.
+    """
     from scipy.optimize import root_scalar  # a fifth of a second, which no design needs
 
     found = []
@@ -125,4 +137,9 @@ def _polished(angles: np.ndarray, function: Callable[[float], float]) -> list[fl
                 break
             width *= 10
         found.append(float(angle))
+    points = np.unique(between[(between > 0) & (between < np.pi)])
+    points = np.unique([*points, *np.sqrt(points[1:] * points[:-1])])
+    signs = np.sign([function(point) for point in points])
+    for i in np.flatnonzero(signs[1:] * signs[:-1] < 0):
+        found.append(float(root_scalar(function, bracket=(points[i], points[i + 1]), xtol=1e-15).root))
     return found

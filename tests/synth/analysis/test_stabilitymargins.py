@@ -6,14 +6,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from literature import cubesat_model
+from scipy.optimize import brentq
 
 from synth.analysis.diskmargins import diskmargin
 from synth.analysis.gap import gapmetric
 from synth.analysis.norms import is_stable
-from synth.analysis.stabilitymargins import margin, margins
+from synth.analysis.stabilitymargins import allmargin, margin, margins
 from synth.errors import ModelError
 from synth.regulators.controller import proportional_derivative
-from synth.systems.connect import delayed, feedback
+from synth.systems.connect import delayed, feedback, series
 from synth.systems.sampled import c2d
 from synth.systems.statespace import StateSpace
 
@@ -189,3 +190,26 @@ def test_a_loop_above_one_at_the_nyquist_frequency_fails_at_a_whole_sample():
         L = delayed(L)
     assert all(r < 1 for r in radii[:-1])
     assert radii[-1] >= 1
+
+
+@pytest.mark.parametrize("fast", [1e1, 1e2, 1e3, 1e4])
+@pytest.mark.parametrize("spring", [0.3, 1.0, 4.0])
+def test_integrators_beside_fast_poles_hide_no_crossing(fast, spring):
+    """Two masses, undamped, under three leads: L < 0 above the resonance where the leads give half a turn, twice."""
+    A = [[0, 0, 1, 0], [0, 0, 0, 1], [-spring, spring, 0, 0], [spring, -spring, 0, 0]]
+    lead = transfer([1, 1], [1 / fast, 1])
+    L = series(100 * lead * lead * lead, StateSpace(A, [[0], [0], [1], [0]], [[0, 1, 0, 0]], [[0]]))
+
+    def short(w):
+        return 3 * (np.arctan(w) - np.arctan(w / fast)) - np.pi
+
+    top = np.sqrt(fast)
+    ends = ((1e-3, top), (top, 1e3 * fast)) if short(top) > 0 else ()
+    expected = [brentq(short, *each) for each in ends]
+    found = allmargin(L)
+    inner = np.isfinite(found.gain_frequency) & (found.gain_frequency > 0)
+    wanted = [w for w in expected if w > np.sqrt(2 * spring)]
+    np.testing.assert_allclose(np.sort(found.gain_frequency[inner]), wanted, rtol=1e-5)
+    np.testing.assert_allclose(
+        found.gain[inner], [1 / abs(L.frequency_response([w]).ravel()[0]) for w in wanted], rtol=1e-4
+    )
