@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import functools
 import io
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import jax
@@ -116,23 +117,22 @@ def navigators() -> dict[str, Any]:
     return ours | {PAPER_EKF: cubesat3u.ekf(), "SVD": cubesat3u.svd()}
 
 
-def fly(found: Study, runs: int, seed: int, duration: float) -> None:
-    """Table 3 and the Monte Carlo of table 5 with every configuration, then what else their verdicts hang on."""
+def fly(found: Study, runs: int, seed: int, duration: float, then: Callable[[], None]) -> None:
+    """Table 3 and the Monte Carlo of table 5 with every configuration, what else their verdicts hang on, and `then`.
+
+    Beside all that can be compiled fly those with an MPC, which is stepped from Python.
+    """
     surroundings, drawn, known = cubesat3u.environment(duration), starts(runs, seed), navigators()
     periods = round(duration / cubesat3u.CONTROL_PERIOD)
+    groups = (ORDER, TURNED, QUIET, WIDE, FILTERS, NIGHT)
 
     def shared(name: str, environment: Any = surroundings, periods: int = periods) -> Shared:
         navigator, controller = name.split(" + ")
         return Shared(environment, found.controllers[controller], known[navigator], periods)
 
     def options(name: str) -> dict[str, Any]:
-        return {
-            "seed": seed,
-            "progress": False,
-            "memory": MEMORY,
-            "varying": VARYING,
-            **study.stored(found.flying, name),
-        }
+        own = {"seed": seed, "progress": False, "memory": MEMORY, "varying": VARYING}
+        return own | study.stored(found.flying, name)
 
     def fly_all(into: dict[str, Campaign], names: Any, how: Any, of: Any, label: str = "", **more: Any) -> None:
         for name in names:
@@ -150,14 +150,26 @@ def fly(found: Study, runs: int, seed: int, duration: float) -> None:
                 found.nominal[name] = indices(flown.kept[0], start=found.window)
             bar.update()
 
-    groups = (ORDER, TURNED, QUIET, WIDE, FILTERS, NIGHT)
-    with tqdm(total=sum(map(len, groups)) + 2, desc="configurations", delay=2.0) as bar:
-        fly_all(found.campaigns, ORDER, case, drawn)
+    def some(stepped: bool) -> list[tuple[Any, ...]]:
+        """The campaigns that may be stepped: what they fill, names, cases, starts, label."""
+        wide = of_wide_inertia(drawn)
+        all_ = ((found.campaigns, ORDER, case, drawn, ""), (found.quiet, QUIET, quiet, drawn, " quiet"),
+                (found.wide, WIDE, case, wide, " wide"))  # fmt: skip
+        return [(into, [n for n in names if ("MPC" in n) is stepped], *rest) for into, names, *rest in all_]
+
+    def stepped(ended: Event) -> None:
+        for into, names, *rest in some(True):
+            for name in names:
+                if ended.is_set():
+                    return
+                fly_all(into, [name], *rest)
+
+    def compiled() -> None:
+        for each in some(False):
+            fly_all(*each)
         planes = np.array([cubesat3u.disperse(seed, index).raan for index in range(runs + 1)])
         batch = cubesat3u.environment(duration, raan=planes, argument_of_latitude=cubesat3u.noon(planes, duration))
         fly_all(found.turned, TURNED, on_plane, (drawn, batch), " turned", environment=None)
-        fly_all(found.quiet, QUIET, quiet, drawn, " quiet")
-        fly_all(found.wide, WIDE, case, of_wide_inertia(drawn), " wide")
         fly_all(found.again, FILTERS, case, Start(*(np.repeat(part[:1], runs + 1, axis=0) for part in drawn)), " again")
         fly_all(found.night, NIGHT, case, drawn, " night", environment=into_night(duration))
         moved: dict[str, Campaign] = {}
@@ -167,6 +179,15 @@ def fly(found: Study, runs: int, seed: int, duration: float) -> None:
         if duration >= LONG:
             fly_far(found, drawn, shared(HINF), options)
         bar.update()
+        then()
+
+    with tqdm(total=sum(map(len, groups)) + 2, desc="configurations", delay=2.0) as bar:
+        try:
+            study.beside(compiled, stepped)
+        finally:  # in the order of the tables
+            for part in (found.campaigns, found.nominal, found.quiet, found.wide):
+                items = {name: part.pop(name) for name in ORDER if name in part}
+                part.update(items)
 
 
 def tell(found: Study, runs: int, seed: int, duration: float) -> None:
@@ -266,8 +287,7 @@ def main(arguments: list[str] | None = None) -> int:
     print(f"{design}\n", flush=True)
     found = Study(design, controllers, window)
 
-    def everything() -> None:
-        fly(found, runs, options.seed, duration)
+    def then() -> None:
         if not options.fast:
             asked = question(controllers["Hinf"], starts(runs, options.seed))
             ask(asked, found.worst, seed=options.seed, flights=64, rounds=4)
@@ -275,7 +295,7 @@ def main(arguments: list[str] | None = None) -> int:
         if not options.fast and runs > 1:
             tell(found, runs, options.seed, duration)
 
-    study.carry_out(found, everything, options)
+    study.carry_out(found, lambda: fly(found, runs, options.seed, duration, then), options)
     told = [] if found.budget is None else [compared(found, found.budget, found.worst_ape)]
     made_of = [] if found.budget is None else [composition(found.budget)]
     return study.conclude(

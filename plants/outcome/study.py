@@ -17,8 +17,10 @@ import io
 import platform
 import re
 import sys
+import threading
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -185,6 +187,22 @@ def stored(flying: Mapping[str, Any], name: str) -> dict[str, Any]:
         plain = "".join(letter if letter.isalnum() else "-" for letter in name.lower())
         options |= {"store": options["store"] / plain, "resume": True}
     return options
+
+
+def beside(own: Callable[[], None], other: Callable[[threading.Event], None]) -> None:
+    """Call both at once, `other` in a thread: flights stepped from Python keep one processor busy, compilers another.
+
+    Where `own` ends in an exception, or is interrupted, the event is set: then `other` is to end soon.
+    """
+    ended = threading.Event()
+    with ThreadPoolExecutor(1) as pool:
+        future = pool.submit(other, ended)
+        try:
+            own()
+            future.result()
+        except BaseException:
+            ended.set()
+            raise
 
 
 def campaigns(
