@@ -121,7 +121,7 @@ def findings(found: Any) -> list[str]:
             f"{said(paired(peaks[DIRECT], peaks[HINF], ratio=True).reading())} of it."
         )
     sentences += told(found)
-    if found.campaigns:
+    if HINF in found.nominal:
         angle = cubesat3u.environment(found.nominal[HINF].end).sun_field_angle() / DEG
         sentences.append(
             f"The angle between Sun and field, {angle.min():.0f} to {angle.max():.0f} deg during the run, sets the "

@@ -62,8 +62,8 @@ class Mu:
         if np.max(self.gap, initial=0.0) <= OPEN:
             return ""
         return (
-            f"mu is only known to be between the bounds, which are {np.max(self.gap):.0%} apart: no smaller Delta was "
-            "found, and better scalings of this kind do not exist"
+            f"mu is only known to be between the bounds, which are {np.max(self.gap):.0%} apart: neither a smaller "
+            "Delta nor better scalings were found"
         )
 
     def __repr__(self) -> str:
@@ -90,7 +90,8 @@ def mussv(M: Any, blocks: Any, *, tol: float = TOLERANCE) -> Mu:
     blocks : structure of Delta, which takes the p outputs of M to its m inputs, as pairs: (r, c) a full complex block
         of r rows and c columns, (r, 0) a complex number repeated r times, (-r, 0) a real one repeated r times. The rows
         of all blocks are the m inputs
-    tol : relative, how near the bound over all frequencies is to the largest one at a single frequency
+    tol : relative, how near the bound over all frequencies is to the largest one at a single frequency; with real
+        blocks alone, whose bound jumps from frequency to frequency, it may stay farther (`gap` has it)
 
     Returns
     -------

@@ -3,6 +3,7 @@
 import html
 import json
 import re
+import threading
 
 import cubesat3u as study
 import numpy as np
@@ -99,10 +100,12 @@ def test_files_and_report(flown):
     design = Design.load(out / "hinf.json")
     assert design.controller.digest() == s.design.controller.digest()
     assert design.plant.units["Tx"] == "N m"
-    assert {p.name for p in out.iterdir()} == {
+    assert {p.name for p in out.iterdir() if not p.name.startswith("box_")} == {
         "hinf.json", "hinf.mat", "mpc_velocity.json", "mpc_velocity.mat", "mpc_position.json", "mpc_position.mat",
         "report.html", "indices.png", "runs", "claims.json", "figures", "hinf.c", "hinf.h",
     }  # fmt: skip
+    proofs = {f"box_{law}_margin.json" for law in ("hinf", "pd", "mpc_velocity", "mpc_position")}
+    assert {p.name for p in out.glob("box_*")} == proofs | {"box_hinf_10.json", "box_hinf_30.json"}
     assert json.loads((out / "mpc_position.json").read_text())["form"] == "position"
     page = (out / "report.html").read_text()
     assert page.count("<figure>") == 14
@@ -124,13 +127,16 @@ def test_report_in_a_browser(flown):
     check(flown[2] / "report.html", figures=14)
 
 
-def test_interruption_keeps_what_was_flown(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("when", [1, 2])
+def test_interruption_keeps_what_was_flown(tmp_path, monkeypatch, capsys, when):
     real, calls = campaign.campaign, []
 
     def interrupted(*arguments, **options):
-        calls.append(1)
-        if len(calls) == 2:
-            raise KeyboardInterrupt
+        """Ctrl-C comes to the main thread; beside it those fly that are stepped from Python."""
+        if threading.current_thread() is threading.main_thread():
+            calls.append(1)
+            if len(calls) == when:
+                raise KeyboardInterrupt
         return real(*arguments, **options)
 
     monkeypatch.setattr(study, "campaign", interrupted)

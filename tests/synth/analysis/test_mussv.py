@@ -268,7 +268,8 @@ def test_systems_are_bounded_at_all_frequencies(seed, blocks, n, damping, discre
     grid = np.concatenate([np.geomspace(1e-2, 10 if discrete else 1e3, 15), found.peak * np.linspace(0.97, 1.03, 5)])
     for w in grid[grid < (np.pi / 0.3 if discrete else np.inf)]:
         assert mussv(at(G, w), blocks).upper <= found.upper
-    if found.upper > 1.1e-6 * hinfnorm(G)[0]:  # below, mu is told from zero no more
+    continuous = any(r >= 0 for r, _ in blocks)  # with real blocks alone the bound may jump beside its peak
+    if continuous and found.upper > 1.1e-6 * hinfnorm(G)[0]:  # below, mu is told from zero no more
         assert mussv(at(G, found.peak), blocks).upper >= found.upper / (1 + 1.1e-3)
 
 

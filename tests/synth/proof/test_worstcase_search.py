@@ -17,6 +17,7 @@ def test_boxes_that_all_hold_are_proved_however_few_were_wanted():
 
 
 def test_poles_are_found_where_the_first_iteration_of_lapack_does_not_end(monkeypatch):
+    monkeypatch.setattr(worstcase, "SINGULAR", 0.0)  # as if the mass matrix might send poles to infinity
     G, tries = flexible_satellite(20), []
     N = Numbers(G, list(G.parameters.values()))
     expected, whole = N.poles(np.zeros(3)), worstcase.sla.eigvals
