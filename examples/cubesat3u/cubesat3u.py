@@ -85,9 +85,8 @@ WIDE = (HINF, PD, *MPC)  # with moments of inertia that are far off
 FILTERS, NIGHT = (HINF, PAPER_HINF, DIRECT), (HINF, DIRECT)
 KEPT = (" night", " moved")  # campaigns of which all trajectories are
 LONG = 500.0  # s, that a flight to another attitude takes
-MEMORY = 1 << 29  # bytes: so much holds `FEW` flights at once
 FEW = 17  # runs at most where no more are needed: if all of so many meet a requirement, a share of 80 % is decided
-BRIEF = {"": MPC, " wide": MPC}  # flown `FEW` times: a step of an MPC is dear, and so is a program of another width
+BRIEF = {"": (*MPC, PAPER_MPC[1], SVD_MPC[1]), " quiet": PAPER_MPC[1:], " wide": MPC}  # `FEW` times: an MPC is dear
 
 
 @dataclass
@@ -131,7 +130,9 @@ def fly(found: Study, runs: int, seed: int, duration: float, then: Callable[[], 
         return Shared(environment, found.controllers[controller], known[navigator], periods)
 
     def options(name: str) -> dict[str, Any]:
-        own = {"seed": seed, "progress": False, "memory": MEMORY, "varying": VARYING}
+        own = {"seed": seed, "progress": False, "varying": VARYING}
+        if "MPC" in name:  # stepped: all at once, with the paper's filters by one program however few are flown
+            own["batch"] = FEW if name.startswith(MPC) else runs + 1
         return own | study.stored(found.flying, name)
 
     def fly_all(into: dict[str, Campaign], names: Any, how: Any, of: Any, label: str = "", **more: Any) -> None:

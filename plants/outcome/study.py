@@ -355,14 +355,16 @@ def highlights(
         found.append((f"{sum(r.met for r in requirements)} of {len(requirements)}", "requirements met"))
         found.append((report.percent(tightest.margin), f"least margin: {tightest.name}"))
     if claims:
-        verdicts = [claim.verdict for claim in claims if claim.verdict not in ("not measured", "not decided")]
-        holds, fails = verdicts.count("holds"), verdicts.count("does not hold")
+        verdicts = [claim.verdict for claim in claims if claim.verdict != "not measured"]
+        holds, fails, open_ = (verdicts.count(verdict) for verdict in ("holds", "does not hold", "not decided"))
         for number, what in (
             (holds, "hold"),
-            (len(verdicts) - holds - fails, "depend on something"),
+            (len(verdicts) - holds - fails - open_, "depend on something"),
             (fails, "do not hold"),
+            (open_, "are not decided"),
         ):
-            found.append((f"{number} of {len(verdicts)}", f"{whose} {what}"))
+            if number or what != "are not decided":
+                found.append((f"{number} of {len(verdicts)}", f"{whose} {what}"))
     return found
 
 
