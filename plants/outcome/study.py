@@ -330,8 +330,8 @@ def conclude(
     own += [table.section() for table in tables]
     own.append(report.Section("The paper's claims, measured" if paper else "Claims", report.claims_table(claims)))
     if findings:
-        beside = "What the paper does not say" if paper else "Findings"
-        own.append(report.Section(beside, "".join(map(report.paragraph, findings))))
+        heading = "What the paper does not say" if paper else "Findings"
+        own.append(report.Section(heading, "".join(map(report.paragraph, findings))))
     if cards:
         own.append(report.Section("Controllers", report.cards(cards)))
     foot = [*provenance(settings, study, packages), count, *notes]

@@ -1,6 +1,7 @@
 """The frame of the studies: options, interruptions, verdicts, and what is printed and written."""
 
 import json
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
@@ -110,6 +111,21 @@ def test_verdicts_of_two_cases():
     assert study.either(True, True, "luck") == "holds"
     assert study.either(True, False, "luck") == study.either(False, True, "luck") == "depends on luck"
     assert study.either(False, False, "luck") == "does not hold"
+
+
+def test_two_chains_of_flights_go_on_beside_each_other_and_end_together():
+    met = threading.Barrier(2, timeout=30)
+    study.beside(met.wait, lambda ended: met.wait())  # neither could end alone
+
+    def interrupted():
+        raise KeyboardInterrupt
+
+    told = []
+    with pytest.raises(KeyboardInterrupt):
+        study.beside(interrupted, lambda ended: told.append(ended.wait(30)))
+    assert told == [True]
+    with pytest.raises(ZeroDivisionError):
+        study.beside(lambda: None, lambda ended: 1 / 0)
 
 
 def test_highlights_count_what_was_measured():
