@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 
 from plants.checks import positive, real
 from plants.craft.spacecraft import Spacecraft
-from plants.dynamics.rigidbody import RigidBody
 from plants.errors import ScenarioError
 from plants.files import usable
 from plants.guidance.laws import Dumping
@@ -199,15 +198,7 @@ def _drawn(seed: int, index: int, *, spread: Dispersion) -> Dispersed:
 def _case(d: Dispersed, shared: Shared) -> tuple[Loop, Scenario]:
     """Loop and scenario of one run."""
     craft, plant = shared.craft, shared.craft.plant
-    scale = np.diag(1 + d.inertia / 2)
-    body = RigidBody.create(
-        scale @ craft.inertia @ scale,
-        wheel_axes=plant.body.wheel_axes,
-        wheel_inertia=plant.body.wheel_inertia,
-        disturbances=(*plant.body.disturbances, ConstantTorque.create(d.torque)),
-        physical=False,
-    )
-    moved = replace(craft, plant=replace(plant, body=body))
+    moved = replace(craft, plant=plant.scaled(1 + d.inertia / 2, (ConstantTorque.create(d.torque),)))
     flight = moved.scenario(shared.duration, environment=shared.environment, angles=d.angles, rate=d.rate)
     return moved.loop(shared.controller, dumping=shared.dumping), flight
 

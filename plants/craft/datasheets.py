@@ -28,9 +28,9 @@
     cross_noise_arcsec = 20
 
 Further tables: [dispersion], [navigation], [[disturbances]], [[magnetorquers]] and [dumping], [[thrusters]] with
-[propulsion], [[cmgs]] with [steering], [atmosphere], [[forces]]; `plants.craft.kinds` says what each may hold. Every
-device is a table. A number without a unit behind its name is in SI and radians. A sensor with `calibrate` is calibrated
-by the filter, from a misalignment or bias of that deviation.
+[propulsion], [[cmgs]] with [steering], [[appendages]] that bend, [atmosphere], [[forces]]; `plants.craft.kinds` says
+what each may hold. Every device is a table. A number without a unit behind its name is in SI and radians. A sensor with
+`calibrate` is calibrated by the filter, from a misalignment or bias of that deviation.
 """
 
 from collections.abc import Callable, Mapping
@@ -43,14 +43,14 @@ import numpy as np
 from plants.checks import positive
 from plants.craft import kinds
 from plants.craft.comparison import Comparison, Dispersion, compare_flights
-from plants.craft.kinds import ATMOSPHERES, CALIBRATED, DISTURBANCES, FORCES, ORBITS, SENSORS
+from plants.craft.kinds import APPENDAGES, ATMOSPHERES, CALIBRATED, DISTURBANCES, FORCES, ORBITS, SENSORS
 from plants.craft.spacecraft import Spacecraft
 from plants.craft.tables import REFUSED, Kind, Tables, keys_of, read_toml
 from plants.errors import ScenarioError
 from plants.guidance.laws import Dumping
 
 BODY = [key for key in keys_of(kinds.BODY) if key != "parts"]
-LISTS = ("wheels", "sensors", "disturbances", "magnetorquers", "thrusters", "cmgs", "forces")
+LISTS = ("wheels", "sensors", "disturbances", "magnetorquers", "thrusters", "cmgs", "appendages", "forces")
 TABLES = (
     "requirements", "flight", "orbit", "dispersion", "navigation", "dumping", "propulsion", "steering", "atmosphere",
 )  # fmt: skip
@@ -151,6 +151,9 @@ def _parts(tables: Tables) -> dict[str, Any]:
         tables.chosen(row, f"disturbances[{i}]", DISTURBANCES)
         for i, row in enumerate(tables.rows("disturbances", "disturbance"))
     ]
+    if "appendages" in data:
+        rows = enumerate(tables.rows("appendages", "appendage"))
+        parts["appendages"] = tuple(tables.chosen(row, f"appendages[{i}]", APPENDAGES) for i, row in rows)
     parts["sensors"], calibrate = _sensors(tables)
     if "navigation" in data or calibrate:
         made = tables.made(data.get("navigation", {}), "navigation", kinds.NAVIGATION)

@@ -19,9 +19,11 @@ from plants.craft.tables import (
     RATE,
     RATE_WALK,
     SPIN,
+    SWING,
     TORQUE,
     Kind,
 )  # fmt: skip
+from plants.dynamics.appendages import Appendage
 from plants.dynamics.cmgs import Cmgs
 from plants.dynamics.rigidbody import RigidBody
 from plants.errors import ScenarioError
@@ -259,6 +261,13 @@ THRUSTER = Kind(_thruster, {"position": LENGTH, "force": FORCE})
 MODULATORS = {"pwm": Kind(_pwm), "schmitt": Kind(_schmitt), "pwpf": Kind(_pwpf)}
 GYROSCOPE = Kind(_gyroscope, {"momentum": MOMENTUM})
 STEERING = Kind(_steering, {"max_rate": RATE})
+
+
+APPENDAGES = {
+    "modes": Kind(Appendage.create, {"frequencies": SWING, "damping": PER_CENT}),
+    "hinged panel": Kind(Appendage.hinged, {"position": LENGTH, "centre": LENGTH, "damping": PER_CENT}),
+    "tank": Kind(Appendage.pendulum, {"length": LENGTH, "hinge": LENGTH, "damping": PER_CENT}),
+}
 
 
 def magnetorquers(columns: dict[str, Any]) -> Magnetorquers:

@@ -12,17 +12,19 @@ Controllers are designed elsewhere: matrices go out, and whatever has `dt`, `ini
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import partial
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.typing import ArrayLike
 from numpy.typing import ArrayLike as Given
 
 from plants.checks import positive, real, whole
 from plants.craft import requirements
-from plants.dynamics.rigidbody import BodyState, RigidBody, state_from
-from plants.dynamics.satellite import Satellite
+from plants.dynamics.satellite import Satellite, SatelliteState
 from plants.errors import ScenarioError
 from plants.estimation.mekf import Mekf, mekf
 from plants.geometry import attitude
@@ -60,6 +62,23 @@ class Read:
         return getattr(y[self.place], self.field)
 
 
+@partial(blocks.node, data_fields=["plant"], meta_fields=[])
+@dataclass(frozen=True)
+class _Seen:
+    """A satellite whose flexible modes are measured too."""
+
+    plant: Satellite
+
+    def derivative(self, x: SatelliteState, u: Array, env: Any) -> SatelliteState:
+        return self.plant.derivative(x, u, env)
+
+    def output(self, x: SatelliteState, env: Any) -> Array:
+        return jnp.concatenate([self.plant.output(x, env), jnp.asarray(x.modes), jnp.asarray(x.mode_rates)])
+
+    def project(self, x: SatelliteState) -> SatelliteState:
+        return self.plant.project(x)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Spacecraft:
     """A spacecraft; build it with `spacecraft`."""
@@ -92,13 +111,21 @@ class Spacecraft:
         """Continuous model from the torque on the body (3,) N m to the output (6,), about rest at nadir.
 
         The output is [vector part of the quaternion; rad/s] relative to frame O, with the gravity gradient of the
-        circular orbit of the same energy; the momentum of the wheels is left out.
+        circular orbit of the same energy; the momentum of the wheels is left out. The state is the output, followed by
+        the k modes of the appendages and their rates: with them A is (6 + 2 k, 6 + 2 k).
         """
-        body = RigidBody.create(self.inertia, disturbances=(GravityGradient(),), physical=False)
+        flexible = self.plant.appendages
+        body = Satellite.create(
+            self.inertia,
+            thrusters=True,
+            appendages=() if flexible is None else (flexible,),
+            disturbances=(GravityGradient(),),
+            physical=False,
+        )
         around = CircularEnvironment.along(self._circular())
-        with jax.enable_x64(True):
-            rest = state_from(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.zeros(0), around.at(0.0))
-        return linearize(body, BodyState(*map(np.asarray, rest)), np.zeros(3), around)
+        rest = body.state(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), around)
+        A, B, C, D = linearize(_Seen(body), rest, np.zeros(3), around)
+        return LinearModel(A, B, C[:OUTPUTS], D[:OUTPUTS])
 
     def weights(self, *, pointing: float, bandwidth: float, integral: bool = True) -> dict[str, Any]:
         """First weights of `GeneralizedPlant.four_block` for `linear` at `dt`; see `requirements.weights`."""

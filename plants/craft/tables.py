@@ -29,6 +29,7 @@ Units = Mapping[str, float]  # behind an argument -> what one of it is in SI
 ANGLE: Units = {"_deg": np.pi / 180, "_arcsec": ARCSEC}
 RATE: Units = {"_deg_per_s": np.pi / 180, "_deg_per_h": DEG_PER_H}
 SPIN: Units = {"_rpm": np.pi / 30}
+SWING: Units = {"_Hz": 2 * np.pi}
 ANGLE_WALK: Units = {"_deg_per_sqrt_h": DEG_PER_SQRT_H}
 RATE_WALK: Units = {"_deg_per_h_per_sqrt_h": DEG_PER_H / 60}
 LENGTH: Units = {"_km": 1e3, "_cm": 1e-2, "_mm": 1e-3}

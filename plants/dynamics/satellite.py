@@ -118,12 +118,8 @@ class Satellite:
             physical=physical,
         )
         flexible = Appendage.joined(appendages) if appendages else None
-        if flexible is not None:
-            G: Any = body.wheel_axes
-            hub = flexible.hub(body.inertia - (G * body.wheel_inertia) @ G.T)
-            body = replace(body, inverse=(jnp if isinstance(hub, Tracer) else np).linalg.inv(hub))
         return cls(
-            body=body,
+            body=body if flexible is None else _carrying(body, flexible),
             friction=Friction.of(wheels) if wheels else None,
             imbalance=Imbalance.of(wheels) if wheels else None,
             cmgs=cmgs,
@@ -132,6 +128,34 @@ class Satellite:
             magnetorquers=bool(magnetorquers),
             thrusters=bool(thrusters),
         )
+
+    def scaled(self, factors: ArrayLike, disturbances: tuple[Disturbance, ...] = ()) -> "Satellite":
+        """The satellite with the inertia S J S and couplings S d, S = diag(factors), and with further disturbances.
+
+        As if its masses lay farther out: what the appendages carry of the inertia stays the same share.
+
+        Parameters
+        ----------
+        factors : (3,) along the body axes
+        disturbances : beside those it has
+
+        Raises
+        ------
+        ScenarioError
+            What `RigidBody.create` refuses.
+        """
+        S: Any = factors if isinstance(factors, Tracer) else real("factors", factors, (3,))
+        body = RigidBody.create(
+            S[:, None] * self.body.inertia * S,
+            wheel_axes=self.body.wheel_axes,
+            wheel_inertia=self.body.wheel_inertia,
+            disturbances=(*self.body.disturbances, *disturbances),
+            physical=False,
+        )
+        if self.appendages is None:
+            return replace(self, body=body)
+        flexible = replace(self.appendages, couplings=S[:, None] * self.appendages.couplings)
+        return replace(self, body=_carrying(body, flexible), appendages=flexible)
 
     @property
     def sizes(self) -> tuple[int, int, int, int]:
@@ -277,6 +301,13 @@ class Satellite:
             body = [np.asarray(part) for part in _place(environment, np.asarray(float(t)), q, w, speeds)]
         phase = np.zeros(0 if self.imbalance is None else n)
         return SatelliteState(*body, phase=phase, gimbals=angles, modes=bent, mode_rates=bending)
+
+
+def _carrying(body: RigidBody, flexible: Appendage) -> RigidBody:
+    """The body whose appendages move on it: less inertia answers to a torque."""
+    G: Any = body.wheel_axes
+    hub = flexible.hub(body.inertia - (G * body.wheel_inertia) @ G.T)
+    return replace(body, inverse=(jnp if isinstance(hub, Tracer) else np).linalg.inv(hub))
 
 
 @Program

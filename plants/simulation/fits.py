@@ -140,7 +140,8 @@ def check_numbers(loop: Loop, scenario: Scenario) -> None:
     if step > longest * (1 + 1e-9):
         raise ScenarioError(
             f"the plant is integrated in steps of {step:.4g} s, but its `longest_step` is {longest:.4g} s: raise "
-            "`samples` or `steps`, or leave out what is fast (imbalance of wheels, dry friction over a small `creep`)"
+            "`samples` or `steps`, or leave out what is fast (modes of appendages, imbalance of wheels, dry "
+            "friction over a small `creep`)"
         )
     judge = getattr(loop.plant, "check", None)
     if judge is not None:

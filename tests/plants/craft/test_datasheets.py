@@ -149,6 +149,50 @@ def test_gyroscopes_and_other_orbits(tmp_path):
     same(read(tmp_path, data).craft, craft)
 
 
+def test_appendages_of_all_kinds(tmp_path):
+    data = LEAST | {
+        "samples": 20,
+        "appendages": [
+            {"kind": "modes", "frequencies_Hz": [0.5], "damping_percent": 0.5, "couplings": [[0.1], [0.0], [0.02]]},
+            {
+                "kind": "hinged panel", "axis": [0, 1, 0], "position_cm": [0, 20, 0], "mass": 0.3,
+                "centre_cm": [10, 0, 0], "inertia": [1e-3, 1e-3, 2e-3], "stiffness": 0.01,
+            },
+            {"kind": "tank", "mass": 0.1, "length_cm": 5, "hinge_cm": [0, 0, 10], "acceleration": [0, 0, 0.05]},
+        ],
+    }  # fmt: skip
+    parts = [
+        plants.Appendage.create(np.array([0.5]) * (2 * np.pi), couplings=[[0.1], [0.0], [0.02]], damping=0.5e-2),
+        plants.Appendage.hinged(
+            [0, 1, 0], position=np.array([0, 20, 0]) * 1e-2, mass=0.3, centre=np.array([10, 0, 0]) * 1e-2,
+            inertia=[1e-3, 1e-3, 2e-3], stiffness=0.01,
+        ),
+        plants.Appendage.pendulum(
+            0.1, length=5 * 1e-2, hinge=np.array([0, 0, 10]) * 1e-2, acceleration=[0, 0, 0.05]
+        ),
+    ]  # fmt: skip
+    craft = read(tmp_path, data).craft
+    joined = plants.Appendage.joined(parts)
+    for name in ("frequencies", "damping", "couplings"):
+        np.testing.assert_array_equal(getattr(craft.plant.appendages, name), getattr(joined, name))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"kind": "mode"}, "appendages[0].kind = 'mode'; did you mean 'modes'?"),
+        ({"kind": "modes", "frequencies_Hz": [0.5]}, "appendages[0].couplings: missing"),
+        ({"kind": "modes", "frequencies": [0.5], "couplings": [[9.0], [0], [0]]}, "appendages carry"),
+        (
+            {"kind": "tank", "mass": 1, "length": -1, "hinge": [0, 0, 0], "acceleration": [0, 0, 1]},
+            "appendages[0].length = -1",
+        ),
+    ],
+)  # fmt: skip
+def test_wrong_appendages_are_told(tmp_path, wrong, told):
+    assert told in refused(tmp_path, LEAST | {"appendages": [wrong]})
+
+
 NUMBER = st.floats(0.01, 100)
 
 

@@ -1,6 +1,6 @@
 """A spacecraft of data sheets: loop, linear model and flights; what does not go together is told."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 
 import numpy as np
@@ -75,6 +75,52 @@ def test_linear_model_of_an_eccentric_orbit_is_that_of_its_energy():
     A = made(orbit=ellipse).linear().A
     n = np.sqrt(3.986004418e14 / 7.2e6**3)
     assert A[4, 1] == pytest.approx(-6 * n**2 * (0.12 - 0.05) / 0.11, rel=1e-9)
+
+
+@pytest.fixture
+def panels():
+    return plants.Appendage.create([0.6, 1.5], couplings=[[0.15, 0], [0, 0.1], [0.02, 0.05]], damping=0.003)
+
+
+def test_linear_model_of_a_flexible_spacecraft_has_its_modes(panels):
+    craft = made(appendages=[panels])
+    A, B, C, D = craft.linear()
+    assert (A.shape, B.shape, C.shape, D.shape) == ((10, 10), (10, 3), (6, 10), (6, 3))
+    swinging = np.sort(np.linalg.eigvals(A).imag)[-2:]
+    np.testing.assert_allclose(swinging, panels.free(craft.inertia), rtol=1e-4)  # and the orbit's rate, and damping
+    E = plants.flexible_model(craft.inertia, [0.6, 1.5], couplings=panels.couplings, damping=0.003).E
+    accelerations = np.linalg.inv(E)[5:, 5:8]  # of hub and modes, per torque
+    np.testing.assert_allclose(B[[3, 4, 5, 8, 9]], accelerations, atol=1e-12)
+
+
+def test_design_knows_the_modes_that_it_meets(panels, design):
+    soft = replace(panels, frequencies=panels.frequencies / 6, couplings=panels.couplings * 2)
+    craft = made(appendages=[soft])
+    P = synth.GeneralizedPlant.four_block(synth.c2d(craft.linear(), craft.dt), **craft.weights(**WANTED))
+    assert designed(craft).gamma < 0.95 * synth.hinfnorm(P.close(design.K))[0]
+
+
+def test_dispersed_moments_keep_what_the_appendages_carry(panels):
+    """Inertia and couplings move together: no draw makes a hub of negative inertia."""
+    heavy = replace(panels, couplings=panels.couplings * 2)
+    plant = made(appendages=[heavy]).plant
+    factors = np.array([0.7, 1.2, 0.9])
+    moved = plant.scaled(factors)
+    hub = moved.body.inertia - moved.appendages.couplings @ moved.appendages.couplings.T
+    G, Jw = plant.body.wheel_axes, plant.body.wheel_inertia
+    np.testing.assert_allclose(np.linalg.inv(moved.body.inverse), hub - (G * Jw) @ G.T, atol=1e-14)
+    shares = [
+        np.linalg.eigvals(np.linalg.solve(p.body.inertia, p.appendages.couplings @ p.appendages.couplings.T))
+        for p in (plant, moved)
+    ]
+    np.testing.assert_allclose(*(np.sort(s.real) for s in shares), atol=1e-12)
+    assert made().plant.scaled(factors).appendages is None
+
+
+def test_flexible_spacecraft_are_compared(panels):
+    craft = made(appendages=[panels], samples=8)
+    found = plants.compare_flights(craft, {"K": designed(craft)}, duration=400, pointing=0.5 * DEG, runs=3)
+    assert found.campaigns["K"].results.pointing.max() < 0.5 * DEG
 
 
 def test_it_points_with_star_tracker_and_filter(design):
