@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from synth.delivery.frequencyplots import nyquist as nyquist
     from synth.delivery.frequencyplots import sigma as sigma
     from synth.delivery.marginplots import diskmarginplot as diskmarginplot
+    from synth.delivery.modelfiles import read as read
     from synth.delivery.signatures import keygen as keygen
     from synth.delivery.signatures import sign as sign
     from synth.delivery.signatures import verify_signature as verify_signature
@@ -192,6 +193,7 @@ _HOME = {
     "quaternion_lqr": "regulators.quaternion",
     "quaternion_pd": "regulators.quaternion",
     "quaternion_pid": "regulators.quaternion",
+    "read": "delivery.modelfiles",
     "read_study": "command.specification",
     "robstab": "proof.stability",
     "series": "systems.connect",

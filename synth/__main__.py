@@ -90,6 +90,10 @@ def make_parser() -> argparse.ArgumentParser:
     verify.add_argument("--dt", type=float, help="sampling time in s of a continuous design")
     add_limits(verify)
     verify.add_argument("--antiwindup", action="store_true", help="with limits: conditioned loop-shaping controller")
+    verify.add_argument(
+        "--as", choices=("controller", "fmu"), default=None,
+        help="fmu: judge it as a co-simulation unit, whose commands come one sample later",
+    )  # fmt: skip
     verify.add_argument("--overload", type=float, default=2.0, help="peak demand over the limits (default 2)")
     for option, unit in (
         ("ratio", "norm over the level (default 1.01)"), ("delay-ratio", "... with one sample of delay"),
@@ -100,7 +104,7 @@ def make_parser() -> argparse.ArgumentParser:
         verify.add_argument(f"--{option}", type=float, metavar="X", help=f"require: {unit}")
 
     certify = command("certify", "prove both bounds of a design's norm in ball arithmetic, and save the certificate")
-    certify.add_argument("files", nargs=1, metavar="FILE", help="design (.json)")
+    certify.add_argument("files", nargs=1, metavar="FILE", help="design (.json, .mat)")
     certify.add_argument("-o", "--output", metavar="FILE", help="certificate; default DESIGN.certificate.json")
     certify.add_argument("--lower", type=float, metavar="X", help="level to prove that no controller reaches it")
     certify.add_argument("--upper", type=float, metavar="X", help="level to prove the controller below")
@@ -117,7 +121,7 @@ def make_parser() -> argparse.ArgumentParser:
     keygen.add_argument("files", nargs=1, metavar="NAME")
 
     export = command("export", "write a controller for elsewhere: C99, FMU, MATLAB, JSON")
-    export.add_argument("files", nargs=1, metavar="FILE", help="design or controller (.json)")
+    export.add_argument("files", nargs=1, metavar="FILE", help="design or controller (.json, .mat)")
     export.add_argument("--format", required=True, choices=("c", "fmu2", "fmu3", "mat", "json"))
     export.add_argument("-o", "--output", required=True, metavar="DIR", help="folder, made if it is missing")
     export.add_argument("--name", default="controller", help="of files and C functions (default controller)")
@@ -130,7 +134,7 @@ def make_parser() -> argparse.ArgumentParser:
     export.add_argument("--antiwindup", action="store_true", help="with limits: conditioned loop-shaping controller")
 
     compare = command("compare", "compare designs: norms, margins, gaps, order, conditioning")
-    compare.add_argument("files", nargs="+", metavar="FILE", help="designs (.json), the first is the reference")
+    compare.add_argument("files", nargs="+", metavar="FILE", help="designs (.json, .mat), the first is the reference")
     compare.add_argument("--plot", metavar="FILE", help="singular values, .svg or .png")
 
     design = command("design", "design from a TOML file, verify, and save")

@@ -125,8 +125,13 @@ def parsed(path: Path, parse: Callable[[str], Any], kind: str, *, finite: bool =
     ------
     ModelError : as `read_bytes` and `check_plain`, or the file is no UTF-8 text, or `parse` cannot make sense of it.
     """
+    return _plain(lambda: parse(read_bytes(path, largest).decode()), kind, finite)
+
+
+def _plain(parse: Callable[[], Any], kind: str, finite: bool) -> Any:
+    """What `parse` finds, checked."""
     try:
-        data = parse(read_bytes(path, largest).decode())
+        data = parse()
     except ModelError:
         raise
     except RecursionError:
@@ -144,8 +149,16 @@ def read_json(path: Path) -> Any:
     ------
     ModelError : as `parsed`, or a key is given twice, or a number is not finite.
     """
-    parse = functools.partial(json.loads, parse_constant=_refuse, object_pairs_hook=_once)
-    return parsed(path, parse, "JSON", finite=True)
+    return parsed(path, _strict, "JSON", finite=True)
+
+
+def json_of(text: str) -> Any:
+    """The same of a text."""
+    return _plain(lambda: _strict(text), "JSON", True)
+
+
+def _strict(text: str) -> Any:
+    return json.loads(text, parse_constant=_refuse, object_pairs_hook=_once)
 
 
 def _refuse(text: str) -> None:

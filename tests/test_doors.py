@@ -20,7 +20,7 @@ import pytest
 import scipy.signal as signal
 
 import synth
-from synth.delivery.modelfiles import read
+from synth.delivery.modelfiles import read, save_system
 from synth.errors import ExportError, ModelError, SynthError
 
 mpl.use("Agg")
@@ -148,7 +148,7 @@ OF_A_SYSTEM: dict[str, Callable[[Any, float], Any]] = {
 OF_ANOTHER_SYSTEM = {"export", "mpc"}  # tested below
 WITHOUT_A_SYSTEM = {
     "care", "dare", "keygen", "sign", "verify_signature", "proportional_derivative",
-    "quaternion_lqr", "quaternion_pd", "quaternion_pid", "read_study",
+    "quaternion_lqr", "quaternion_pd", "quaternion_pid", "read", "read_study",
     "robstab", "stability_margin", "state_feedback", "ultidyn", "ureal", "wcgain", "worst_gain",
 }  # fmt: skip
 
@@ -273,7 +273,7 @@ UNCERTAIN = synth.UncertainSystem([[synth.ureal("J", 1.0, percentage=20)]], -1.0
 # function -> a call that works, by parameter
 RIGHT: dict[str, dict[str, Any]] = {
     "accept": {"design": synth.system(-0.3), "plant": synth.gang_of_four(CONTINUOUS), "level": None, "dt": 0.1,
-               "umin": -1.0, "umax": 1.0, "antiwindup": None, "overload": 2.0, "requirements": None},
+               "form": "controller", "umin": -1.0, "umax": 1.0, "antiwindup": None, "overload": 2.0, "requirements": None},
     "augw": {"G": CONTINUOUS, "W1": 1.0, "W2": 0.1, "W3": 0.2},
     "c2d": {"G": CONTINUOUS, "dt": 0.1, "method": "zoh"},
     "care": {"A": Z, "B": I, "Q": I, "R": I, "N": None, "E": None},
@@ -321,6 +321,7 @@ RIGHT: dict[str, dict[str, Any]] = {
     "quaternion_pd": {"inertia": np.eye(3), "wn": 0.1, "zeta": 0.7, "dt": 0.1},
     "quaternion_pid": {"inertia": np.eye(3), "wn": 0.1, "zeta": 0.7, "dt": 0.1, "integral_time": 100.0,
                        "zone_deg": 5.0},
+    "read": {"path": "plant.json"},
     "read_study": {"path": "nothing.toml"},
     "series": {"G": CONTINUOUS, "H": CONTINUOUS},
     "keygen": {"path": "nothing"},
@@ -356,6 +357,7 @@ IMPLIED = {
     "accept": ("design",),  # the controller
     "export": ("design",),
     "hinfnorm": ("system",),
+    "read": ("path",),  # the file
     "read_study": ("path",),  # the file
 }
 
@@ -380,6 +382,7 @@ def write_files() -> None:
         file.write("content")
     synth.keygen("pair")
     synth.sign("file", "pair.key")
+    save_system("plant.json", CONTINUOUS)
 
 
 SLOW = {"accept"}  # more than three seconds

@@ -109,6 +109,7 @@ def verify(options: argparse.Namespace) -> int:
             found[file] = accept(
                 source_of(item), plant, level=options.level, dt=options.dt, umin=umin, umax=umax,
                 antiwindup=gain_of(item, options), overload=options.overload, requirements=required,
+                form=getattr(options, "as") or "controller",
             )  # fmt: skip
         except SynthError as error:
             error.args = (f"{file}: {error}",)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,6 +18,7 @@ from synth.delivery.files import write_all
 from synth.delivery.modelfiles import Model
 from synth.errors import ModelError, SynthError
 from synth.regulators.controller import LinearController
+from synth.synthesis.convention import ERROR, MEASURED
 from synth.synthesis.design import Design
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace
@@ -100,17 +102,24 @@ def _controller(file: str, positive: bool) -> Fed:
     item = load(file)
     if isinstance(item, GeneralizedPlant):
         raise ModelError("this is a plant; pass a design or a controller")
-    if isinstance(item, Design) and (item.shaping or all(name.startswith("error") for name in item.plant.y)):
+    if isinstance(item, Design) and (item.shaping or item.convention == ERROR):
         given = item.as_controller() if item.plant.dt else None
         return Fed(given, _negative(item), "it was designed for another plant")
-    if isinstance(item, Model) and item.limited:
+    if isinstance(item, Model) and item.convention in (ERROR, MEASURED):
+        if positive:
+            raise ModelError(f"it says of itself: {item.convention}; leave out --positive")
+        positive, remedy = item.convention == MEASURED, "it was designed for another plant"
+    elif isinstance(item, Model) and item.limited:
         if positive:
             raise ModelError("its limits and anti-windup are those of u = K (r - y); leave out --positive")
-        return Fed(item.limited, item.system, "with its limits it can be taken as u = K (r - y) only")
+        remedy = "with its limits it can be taken as u = K (r - y) only"
+    else:
+        remedy = "leave out --positive" if positive else "--positive takes it as u = K y"
     K = item.system if isinstance(item, Model) else item.closing
-    K = StateSpace(*(-K if positive else K).matrices, K.dt)
-    given = LinearController.of(K) if K.discrete and K.dt is not True else None
-    return Fed(given, K, "leave out --positive" if positive else "--positive takes it as u = K y")
+    K = StateSpace(K.A, -K.B, K.C, -K.D, K.dt) if positive else StateSpace(*K.matrices, K.dt)
+    if isinstance(item, Model) and item.limited:
+        return Fed(replace(item.limited, B=K.B, D=K.D), K, remedy)
+    return Fed(LinearController.of(K) if K.discrete and K.dt is not True else None, K, remedy)
 
 
 def _negative(design: Design) -> StateSpace:

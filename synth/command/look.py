@@ -8,6 +8,7 @@ from typing import Any
 from synth.command.terminal import DONE, load, print_json, say
 from synth.delivery.modelfiles import Model
 from synth.errors import ModelError
+from synth.synthesis.convention import sampling
 from synth.synthesis.design import Design
 from synth.systems.generalized import GeneralizedPlant
 
@@ -60,11 +61,15 @@ def facts(item: Design | GeneralizedPlant | Model) -> dict[str, Any]:
     """What is to be said about a file."""
     if isinstance(item, Model):
         G = item.system
-        signals: dict[str, Any] = {key: labels(getattr(item, key), item.units) for key in ("u", "y")}
+        names = {"measurements": "u", "controls": "y"} if item.convention else {"u": "u", "y": "y"}
+        signals: dict[str, Any] = {name: labels(getattr(item, key), item.units) for name, key in names.items()}
         if item.limited:
             signals |= {"umin": item.limited.umin.tolist(), "umax": item.limited.umax.tolist()}
-        told = {"warnings": list(item.warnings)} if item.warnings else {}
-        return {"kind": "system", "order": G.n, **timebase(G.dt), **signals, "sha256": G.digest(), **told}
+        told = ({"convention": item.convention} if item.convention else {}) | (
+            {"warnings": list(item.warnings)} if item.warnings else {}
+        )
+        kind = "controller" if item.convention else "system"
+        return {"kind": kind, "order": G.n, **timebase(G.dt), **signals, "sha256": G.digest(), **told}
     if isinstance(item, GeneralizedPlant):
         signals = {key: labels(getattr(item, key), item.units) for key in "wuzy"}
         sha256 = item.system.digest()
@@ -77,6 +82,8 @@ def facts(item: Design | GeneralizedPlant | Model) -> dict[str, Any]:
     else:
         data |= {"measurements": labels(P.y, P.units), "controls": labels(P.u, P.units)}
     data |= {
+        "convention": item.convention,
+        "sampling": sampling(P.dt),
         "plant_order": P.sizes[0],
         "exogenous": labels(P.w, P.units),
         "regulated": labels(P.z, P.units),

@@ -6,6 +6,8 @@ a bare controller, the norm is reported and "not judged", and the gate rests on 
 
     designed              the controller as it is in the file
     zero-order hold       a continuous design: plant held, controller by Tustin's method, at the sampling time given
+    co-simulation unit    where asked (form="fmu"): outputs come a sample after the inputs, and all lines below see them
+                          so: the plant's commands pass a sample of delay
     one sample of delay   the command acts one sample later
     float32 numbers       every coefficient rounded to single precision, exact arithmetic
     float32 arithmetic    simulated beside float64, both as the exported C steps: largest difference of the commands
@@ -32,13 +34,13 @@ import numpy as np
 
 from synth.analysis.norms import is_stable, verify
 from synth.analysis.stabilitymargins import Margins, margins
-from synth.checks import as_number, shown, timebase_told
+from synth.checks import as_choice, as_number, check_period, shown, timebase_told
 from synth.delivery.simulation import RETURNED, horizon, short, simulate, starts
 from synth.errors import ExportError, ModelError, SynthError
 from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.sequential import SequentialController, controller_of
 from synth.synthesis.design import Design
-from synth.systems.connect import delayed
+from synth.systems.connect import delayed, input_delay
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.sampled import c2d
 from synth.systems.statespace import StateSpace, as_system, common_timebase
@@ -49,6 +51,8 @@ EXACT = 1.01  # ratio of the norm up to which it is called kept, as in `hinfsyn`
 UNSTABLE = "not simulated: the loop is unstable"
 DIRECT = "not simulated: the plant has a direct term D22, so that measurement and command would wait for each other"
 HELD = "part of the discrete plant as it was modelled: nothing to measure"
+FORMS = ("controller", "fmu")
+LAG = "outputs are seen one sampling time after the inputs"
 NO_LEVEL = "no level is known; give one (level=) and the norm is judged"
 
 
@@ -142,6 +146,7 @@ def accept(
     antiwindup: Any = None,
     overload: float = 2.0,
     requirements: Requirements | None = None,
+    form: str = "controller",
 ) -> Acceptance:
     """Measure a controller as it leaves: hold, delay, single precision, saturation and margins.
 
@@ -158,6 +163,8 @@ def accept(
     antiwindup : (n, m) gain of the exported controller, see `export`
     overload : peak demand of the linear loop in the saturated simulations, over the limits
     requirements : see `Requirements`
+    form : "controller", whose command acts at the instant of its sample, as that of the C code; "fmu" for a
+        co-simulation unit, whose command comes one sampling time later
 
     Returns
     -------
@@ -168,6 +175,7 @@ def accept(
     ModelError : a continuous design without `dt`, sizes that do not fit, limits or requirements that make no sense.
     """
     requirements = Requirements() if requirements is None else requirements
+    as_choice("form", form, FORMS)
     if isinstance(design, AntiWindup):
         if not (umin is None and umax is None and antiwindup is None):
             raise ModelError("umin, umax or antiwindup is given, but an AntiWindup has its own; leave them away")
@@ -193,13 +201,17 @@ def accept(
         if dt is not None and not np.isclose(dt, P.dt):
             raise ModelError(f"dt = {shown(dt)} is given, but the design has {timebase_told(P.dt)}; leave dt away")
         lines.append(Condition("zero-order hold", first.passed is not False, note=HELD, required=False))
+    if form == "fmu":
+        P = lagging(P)
+        lines.append(_measured("co-simulation unit", P, K, level, requirements.delay_ratio, LAG))
     held = next((c.norm for c in reversed(lines) if c.norm is not None), None)
+    as_it_is = all(c.stable is not False for c in lines)
     lines.append(_measured("one sample of delay", P, delayed(K), level, requirements.delay_ratio))
     lines += _single_precision(P, K, level, held, requirements.ratio)
     if umin is not None or umax is not None:
         lines.append(_saturation(P, K, umin, umax, antiwindup, overload))
     found, reason = None, "the loop is unstable"
-    if lines[1].stable is not False and first.stable:
+    if as_it_is:
         try:
             found = margins(inner(P), K, sign=1)
         except SynthError as error:
@@ -236,6 +248,14 @@ def sampled(P: GeneralizedPlant, dt: float) -> GeneralizedPlant:
     _, _, m, _, p = P.sizes
     held = GeneralizedPlant.partition(c2d(P.system, dt), p, m)
     return replace(held, w=P.w, u=P.u, z=P.z, y=P.y, units=P.units)
+
+
+def lagging(P: GeneralizedPlant) -> GeneralizedPlant:
+    """A discrete plant whose commands u act one sample later."""
+    _, nw, m, _, p = P.sizes
+    check_period("the controller", P.dt)
+    late = input_delay(P.system, [0.0] * nw + [P.dt] * m)
+    return replace(GeneralizedPlant.partition(late, p, m), w=P.w, u=P.u, z=P.z, y=P.y, units=P.units)
 
 
 def _measured(

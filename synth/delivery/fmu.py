@@ -19,12 +19,15 @@ import shutil
 import subprocess
 import tempfile
 import zipfile
+from dataclasses import replace
 from importlib import metadata, resources
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-from synth.delivery.c import c_files
+import numpy as np
+
+from synth.delivery.c import HELD, c_files
 from synth.delivery.origin import Origin
 from synth.errors import ExportError
 from synth.regulators.sequential import SequentialController
@@ -37,6 +40,10 @@ PLATFORMS = {  # system and machine -> ending of the binary, its folder in each 
     ("Darwin", "arm64"): (".dylib", {3: "aarch64-darwin"}),
     ("Windows", "AMD64"): (".dll", {2: "win64", 3: "x86_64-windows"}),
 }
+LAG = (
+    "as a co-simulation unit: outputs are seen one sampling time, {dt!r} s, after the inputs they answer to; synth "
+    "verify --as fmu judges the loop with this lag"
+)
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden", "-shared")
 EPOCH = (1980, 1, 1, 0, 0, 0)  # of every file in the archive, so that the same content gives the same bytes
 
@@ -49,6 +56,7 @@ def fmu_bytes(controller: SequentialController, origin: Origin, name: str, *, ve
     ExportError : there is no C compiler, this machine has no name in the standard, or two signals have one name.
     """
     _check_signals(origin)
+    origin = replace(origin, facts={**origin.facts, "lag": LAG.format(dt=controller.dt)})
     folder, ending = _platform(version)
     files = sources(controller, origin, name, version=version)
     token = _token(files, description(controller, origin, name, "", version=version))
@@ -56,6 +64,7 @@ def fmu_bytes(controller: SequentialController, origin: Origin, name: str, *, ve
     content = {f"sources/{file}": text for file, text in files.items()}
     content[f"binaries/{folder}/{name}{ending}"] = _compile(files, name, version)
     content["modelDescription.xml"] = description(controller, origin, name, token, version=version)
+    content["documentation/index.html"] = documentation(controller, origin, name)
     content["documentation/licenses/license.txt"] = _license()
     return _archive(content)
 
@@ -84,19 +93,19 @@ def sources(controller: SequentialController, origin: Origin, name: str, *, vers
 def description(controller: SequentialController, origin: Origin, name: str, token: str, *, version: int) -> bytes:
     """The file modelDescription.xml: interface, signals, and the origin of the controller as an annotation."""
     step = repr(controller.dt)
-    about = {
+    head = {
         "modelName": name,
-        "description": f"linear controller, {controller.dtype} precision, sample time {step} s",
+        "description": f"{about(controller)}; {origin.facts['convention']}",
         "generationTool": f"convex-synth {metadata.version('convex-synth')}",
     }
     simulation = {"modelIdentifier": name, "canHandleVariableCommunicationStepSize": "true"}
     if version == 2:
-        root = Element("fmiModelDescription", about, fmiVersion="2.0", guid=token)
+        root = Element("fmiModelDescription", head, fmiVersion="2.0", guid=token)
         files = SubElement(SubElement(root, "CoSimulation", simulation), "SourceFiles")
         for file in (f"{name}.c", "fmi2.c"):
             SubElement(files, "File", name=file)
     else:
-        root = Element("fmiModelDescription", about, fmiVersion="3.0", instantiationToken=token)
+        root = Element("fmiModelDescription", head, fmiVersion="3.0", instantiationToken=token)
         SubElement(root, "CoSimulation", simulation, fixedInternalStepSize=step)
     units = sorted({signal.unit for signal in (*origin.inputs, *origin.outputs)} - {""} | {"s"})
     definitions = SubElement(root, "UnitDefinitions")
@@ -105,11 +114,51 @@ def description(controller: SequentialController, origin: Origin, name: str, tok
     categories = SubElement(root, "LogCategories")
     SubElement(categories, "Category", name="logStatusWarning", description="a command was held: something not finite")
     SubElement(categories, "Category", name="logStatusError", description="what is wrong, when a call fails")
-    (_variables2 if version == 2 else _variables3)(root, origin, step)
+    (_variables2 if version == 2 else _variables3)(root, controller, origin, step)
     return _xml(root)
 
 
-def _variables2(root: Element, origin: Origin, step: str) -> None:
+def documentation(controller: SequentialController, origin: Origin, name: str) -> bytes:
+    """The page documentation/index.html: what the unit computes, its signals with units and limits, its origin."""
+    rows = [("name", "variable", "unit", "least", "largest")]
+    rows += [(s.name, f"y[{i}], input", s.unit, "", "") for i, s in enumerate(origin.inputs)]
+    low, high = ([str(v) if np.isfinite(v) else "" for v in M] for M in (controller.umin, controller.umax))
+    rows += [(s.name, f"u[{i}], output", s.unit, low[i], high[i]) for i, s in enumerate(origin.outputs)]
+    root = Element("html", lang="en")
+    head, body = SubElement(root, "head"), SubElement(root, "body")
+    SubElement(head, "meta", charset="utf-8")
+    SubElement(head, "title").text = name
+    SubElement(head, "style").text = (
+        "body { font: 16px/1.5 sans-serif; max-width: 60em; margin: 2em auto; padding: 0 1em } "
+        "table { border-collapse: collapse } "
+        "td, th { text-align: left; vertical-align: top; padding: .2em 1em .2em 0 } "
+        "td { overflow-wrap: anywhere } td:first-child { white-space: nowrap; overflow-wrap: normal }"
+    )
+    SubElement(body, "h1").text = name
+    SubElement(body, "p").text = f"{about(controller)}. {HELD}"
+    for title, lines in (("Signals", rows), ("What it is and where it comes from", list(origin.facts.items()))):
+        SubElement(body, "h2").text = title
+        table = SubElement(body, "table")
+        for k, line in enumerate(lines):
+            row = SubElement(table, "tr")
+            for text in line:
+                SubElement(row, "th" if title == "Signals" and k == 0 else "td").text = text
+    ElementTree.indent(root)
+    return b"<!DOCTYPE html>\n" + ElementTree.tostring(root, encoding="UTF-8", method="html") + b"\n"
+
+
+def about(controller: SequentialController) -> str:
+    """The unit in a line."""
+    return f"linear controller, {controller.dtype} precision, sample time {controller.dt!r} s"
+
+
+def _limits(controller: SequentialController, i: int) -> dict[str, str]:
+    """The limits of command i as attributes of its variable."""
+    limits = {"min": controller.umin[i], "max": controller.umax[i]}
+    return {name: str(float(value)) for name, value in limits.items() if np.isfinite(value)}
+
+
+def _variables2(root: Element, controller: SequentialController, origin: Origin, step: str) -> None:
     """Version 2: experiment, origin, variables in the order of their references, structure with indices from 1."""
     SubElement(root, "DefaultExperiment", startTime="0.0", stepSize=step)
     tool = SubElement(SubElement(root, "VendorAnnotations"), "Tool", name="convex-synth")
@@ -124,16 +173,15 @@ def _variables2(root: Element, origin: Origin, step: str) -> None:
         scalar.set("causality", "input" if is_input else "output")
         if not is_input:
             scalar.set("initial", "calculated")
-        SubElement(
-            scalar, "Real", {"unit": signal.unit} if signal.unit else {}, **({"start": "0.0"} if is_input else {})
-        )
+        kept = {"start": "0.0"} if is_input else _limits(controller, i - len(origin.inputs))
+        SubElement(scalar, "Real", {"unit": signal.unit} if signal.unit else {}, **kept)
         if not is_input:
             for parent in (outputs, unknowns):
                 SubElement(parent, "Unknown", index=str(i + 1), dependencies="")
     root.append(structure)
 
 
-def _variables3(root: Element, origin: Origin, step: str) -> None:
+def _variables3(root: Element, controller: SequentialController, origin: Origin, step: str) -> None:
     """Version 3: experiment, origin, variables with time as the last one, structure with value references."""
     SubElement(root, "DefaultExperiment", startTime="0.0", stepSize=step)
     variables, structure = SubElement(root, "ModelVariables"), Element("ModelStructure")
@@ -143,7 +191,8 @@ def _variables3(root: Element, origin: Origin, step: str) -> None:
         if i < len(origin.inputs):
             SubElement(variables, "Float64", common, causality="input", start="0.0")
         else:
-            SubElement(variables, "Float64", common, causality="output", initial="calculated")
+            kept = _limits(controller, i - len(origin.inputs))
+            SubElement(variables, "Float64", common, causality="output", initial="calculated", **kept)
             SubElement(structure, "Output", valueReference=str(i), dependencies="")
     for i in range(len(origin.inputs), len(origin.inputs) + len(origin.outputs)):
         SubElement(structure, "InitialUnknown", valueReference=str(i), dependencies="")

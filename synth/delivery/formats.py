@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from synth.delivery.acceptance import Acceptance
+    from synth.regulators.antiwindup import AntiWindup
 
 NEVER = "none: this controller was never put through accept"
 FORMATS = ("json", "mat", "c", "fmu2", "fmu3")
@@ -46,7 +47,8 @@ def export(
     force : replace files that exist
     allow_unstable : export a controller with poles on or outside the unit circle; an integrator needs no permission
         when all its outputs have limits and anti-windup
-    umin, umax : number or (m,), unit of u: limits that the C code and the FMU keep; None for no limit
+    umin, umax : number or (m,), unit of u: limits that the C code and the FMU keep, and that json and mat then hold as
+        a controller with the facts about its design; None for no limit
     antiwindup : (n, m) gain L in x+ = A x + B y + L (u - v) with u = min(max(v, umin), umax); A - L C must be stable
     dtype : "double" or "float", of the C code
     acceptance : what `accept` found for this controller, for the files to say; without it they say that it was never
@@ -74,12 +76,9 @@ def export(
     accepted = NEVER if acceptance is None else _verdict(design, acceptance)
     options = {"umin": umin, "umax": umax, "antiwindup": antiwindup}
     if format in ("json", "mat"):
-        given = [key for key, value in options.items() if value is not None]
         if not (isinstance(dtype, str) and dtype == "double"):
-            given.append("dtype")
-        if given:
-            raise ExportError(f"{', '.join(given)}: a {format} file holds the design as it is; leave this away")
-        files = _documents(design, format, name, accepted)
+            raise ExportError(f"dtype: a {format} file holds the numbers as they are; leave this away")
+        files = _documents(design, format, name, accepted, **options)
     else:
         files = _code(design, format, name, self_test, accepted, dtype=dtype, allow_unstable=allow_unstable, **options)
     return write_all(folder, files, force=force)
@@ -99,18 +98,29 @@ def _verdict(design: Any, acceptance: Any) -> str:
     return acceptance.verdict
 
 
-def _documents(design: Any, format: str, name: str, accepted: str) -> dict[str, bytes]:
-    """The design, or a controller without a plant, as data."""
+def _documents(design: Any, format: str, name: str, accepted: str, **options: Any) -> dict[str, bytes]:
+    """The design, or a controller without a plant or with limits, as data."""
     from synth.delivery import matlab, plain
     from synth.synthesis.design import Design, json_bytes
 
-    if not isinstance(design, Design):
-        content = plain.json_bytes(design) if format == "json" else plain.mat_bytes(design)
+    limited = None if all(value is None for value in options.values()) else _limited(design, **options)
+    if limited is not None or not isinstance(design, Design):
+        write = plain.json_bytes if format == "json" else plain.mat_bytes
+        content = write(design, limited, accepted if isinstance(design, Design) else "")
     elif format == "json":
         content = json_bytes(design)
     else:
         content = matlab.mat_bytes(design, accepted)
     return {f"{name}.{format}": content}
+
+
+def _limited(design: Any, **options: Any) -> AntiWindup:
+    """The controller with the limits that it gets on its way out, checked as those of the C code."""
+    from synth.regulators.antiwindup import AntiWindup
+    from synth.regulators.sequential import SequentialController, controller_of
+
+    K, made = controller_of(design), SequentialController.of(design, allow_unstable=True, **options)
+    return AntiWindup(K.A, K.B, K.C, K.D, made.L, made.umin, made.umax, K.dt)
 
 
 def _code(design: Any, format: str, name: str, self_test: bool, accepted: str, **options: Any) -> dict[str, bytes]:

@@ -1,11 +1,14 @@
 """A design as a MATLAB level-5 file: one struct `design`, read by MATLAB and Octave with ``load``.
 
-``K = ss(design.K.A, design.K.B, design.K.C, design.K.D, design.dt)`` rebuilds the controller, u = K y.
+``K = ss(design.K.A, design.K.B, design.K.C, design.K.D, design.dt)`` rebuilds the controller; ``design.convention``
+says what it reads. ``design.json`` is the text of the JSON file, which `synth.read` takes: nothing is lost.
 """
 
 from __future__ import annotations
 
 import io
+import json
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,11 +20,12 @@ if TYPE_CHECKING:
 
 def mat_bytes(design: Design, accepted: str = "") -> bytes:
     """The content of the .mat file."""
+    from synth.synthesis.convention import sampling
     from synth.synthesis.design import to_dict
 
     data = to_dict(design)
     plant = {name: np.asarray(value, dtype=float) for name, value in data["plant"].items() if name[0] in "ABCD"}
-    names = {channel: _cell(data["plant"][channel]) for channel in "wuzy"}
+    names = {channel: cell(data["plant"][channel]) for channel in "wuzy"}
     info = data["info"]
     content = {
         "K": {name: np.asarray(data["controller"][name], dtype=float) for name in "ABCD"},
@@ -31,14 +35,18 @@ def mat_bytes(design: Design, accepted: str = "") -> bytes:
         "verified_norm": float(data["verified_norm"]),
         "optimum": float("nan") if info["optimum"] is None else float(info["optimum"]),
         "names": names,
-        "units": {channel: _cell([design.plant.units.get(s, "") for s in data["plant"][channel]]) for channel in "uy"},
+        "units": {channel: cell([design.plant.units.get(s, "") for s in data["plant"][channel]]) for channel in "uy"},
         "plant_sha256": data["plant_sha256"],
         "method": info["method"],
         "solver": info["solver"],
         "tolerance": float(info["tolerance"]),
         "acceptance": accepted,
+        "convention": design.convention,
+        "sampling": sampling(design.plant.dt),
+        "limits": "none",
+        "json": json.dumps(data, indent=1, allow_nan=False),
         "date": info["date"],
-        "versions": _cell([f"{name} {version}" for name, version in info["versions"].items()]),
+        "versions": cell([f"{name} {version}" for name, version in info["versions"].items()]),
     }
     if info["shifted_norm"] is not None:  # mixed sensitivity with a shifted axis: the optimum belongs to that problem
         content |= {"shift": float(info["shift"]), "shifted_norm": float(info["shifted_norm"])}
@@ -54,7 +62,7 @@ def matlab_timebase(dt: float) -> float:
     return -1.0 if dt is True else float(dt)
 
 
-def _cell(texts) -> np.ndarray:
+def cell(texts: Sequence[str]) -> np.ndarray:
     """A cell array of strings; a plain list would become one padded character matrix."""
     cell = np.empty((len(texts), 1), dtype=object)
     cell[:, 0] = list(texts)

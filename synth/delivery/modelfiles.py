@@ -10,7 +10,7 @@ A JSON file says in `format` what it is:
 A system is  {"format": "convex-synth system", "format_version": 1, "dt": 0.5, "A": [[...], ...], ...}  with matrices
 as lists of rows, `dt` in seconds (0 for continuous time), and optionally the names of its signals, "u": [...],
 "y": [...] (and "w", "z" of a generalised plant), and "units": {name: unit}. A .mat file has the same matrices as
-variables.
+variables or as fields of a struct, such as those of MATLAB's `ss`; or it is one that `export` wrote.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import numpy as np
 from synth.checks import as_limits, as_matrix, as_path, shown
 from synth.delivery.matfiles import read_mat
 from synth.errors import ModelError
-from synth.files import SEAL, check_seal, read_json, write_atomically
+from synth.files import SEAL, check_seal, json_of, read_json, write_atomically
 from synth.regulators.antiwindup import AntiWindup
 from synth.synthesis import design as designs
 from synth.synthesis.design import Design
@@ -42,6 +42,8 @@ UNSEALED = "read from a file of format version 1, which has no sha256 of all of 
 NINE = tuple(f.name for f in fields(GeneralizedPlant))[:9]  # A, B1, ..., D22
 FRACTIONS = (("num", "den"), ("zeros", "poles", "gain"))  # instead of A, B, C, D
 LABELS = ("w", "u", "z", "y")
+WRITTEN, JSON = ("design", "controller"), "json"  # structs in a .mat file by `export`, and the field with all of it
+STRUCT = {**{key: key.upper() for key in "abcde"}, "dt": "dt", "ts": "dt"}  # fields, in any case -> what they are
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +60,7 @@ class Model:
     y: tuple[str, ...] = ()  # (p) names of the outputs
     units: dict[str, str] = field(default_factory=dict)  # of the signals that have one
     limited: AntiWindup | None = None  # a controller with the limits and the gain that its file holds
+    convention: str = ""  # of a controller, as `synth.synthesis.convention` words it
     warnings: tuple[str, ...] = ()  # what a user must know of the file
 
     def __post_init__(self):
@@ -79,9 +82,11 @@ def read(path: str | os.PathLike[str]) -> Design | GeneralizedPlant | Model:
     VerificationError : a design does not do what its file says.
     """
     path = as_path("path", path)
-    if path.suffix == ".mat":
-        return _from_mat(path)
-    data = read_json(path)
+    return _from_mat(path) if path.suffix == ".mat" else _from_data(read_json(path))
+
+
+def _from_data(data: Any) -> Design | GeneralizedPlant | Model:
+    """What a JSON file holds."""
     kind = data.get("format") if isinstance(data, dict) else None
     if kind == designs.FORMAT:
         return designs.from_dict(data)
@@ -130,7 +135,7 @@ def _controller(data: dict[str, Any]) -> Model:
     found = as_model(checked(data))
     assert isinstance(found, Model)
     own = f"sha256 {found.system.digest()}"
-    if data.get("controller", own) != own:
+    if not data.get("controller", own).endswith(own):  # of a design its order comes first
         raise ModelError("its matrices are not those whose sha256 it tells: one of them was changed")
     return found if sealed else replace(found, warnings=(UNSEALED,))
 
@@ -147,7 +152,10 @@ def as_model(data: dict[str, Any]) -> GeneralizedPlant | Model:
         system = StateSpace(**parts) if form == "A" else as_system("the system", parts)
         if "delay" in data:
             system = input_delay(system, data["delay"])
-        return Model(system, names.get("u", ()), names.get("y", ()), units, _limited(data, system))
+        ins, outs = ("y", "u") if data.get("format") == CONTROLLER else ("u", "y")  # a controller reads y
+        return Model(
+            system, names.get(ins, ()), names.get(outs, ()), units, _limited(data, system), data.get("convention", "")
+        )
     except MemoryError:
         raise ModelError("the system has more states than there is memory for") from None
     except (TypeError, ValueError) as error:
@@ -189,12 +197,19 @@ def save_system(path: str | os.PathLike[str], model: Model | StateSpace | Genera
     return write_atomically(path, json.dumps(data, indent=1, allow_nan=False).encode())
 
 
-def _from_mat(path: Path) -> GeneralizedPlant | Model:
-    """The variables A, B, C, D (or A, B1, ..., D22) and dt of a .mat file."""
-    data = read_mat(path, (*NINE, *"BCD", "dt", "design"))
-    found: dict[str, Any] = {name: value for name, value in data.items() if name != "design"}
+def _from_mat(path: Path) -> Design | GeneralizedPlant | Model:
+    """What `export` wrote, or the variables A, B, C, D (or A, B1, ..., D22) and dt, or a struct with such fields."""
+    data = read_mat(path, (*NINE, *"BCD", "dt", *WRITTEN))
+    for name in WRITTEN:
+        if f"{name}.{JSON}" in data:
+            return _written(name, data)
+    found: dict[str, Any] = {name: value for name, value in data.items() if name in (*NINE, *"BCD", "dt")}
     if "design" in data:
-        raise ModelError("it is a design for MATLAB; pass the .json file of the design, which holds all of it")
+        raise ModelError(
+            "it is a design for MATLAB of an older release; pass the .json file of the design, which holds all of it"
+        )
+    if not found:
+        found = _struct(data)
     for name, value in found.items():
         if value.dtype.kind not in "fiu":
             raise ModelError(f"{name} is no real matrix but {value}; save numbers (full(A) for a sparse A)")
@@ -206,3 +221,39 @@ def _from_mat(path: Path) -> GeneralizedPlant | Model:
         dt = float(found["dt"].ravel()[0])
         found["dt"] = True if dt == -1 else dt  # as in MATLAB
     return as_model(found)
+
+
+def _written(name: str, data: dict[str, np.ndarray]) -> Design | GeneralizedPlant | Model:
+    """What `export` wrote: the text of the JSON file in it, if the matrices beside it are still the same."""
+    text = data[f"{name}.{JSON}"]
+    held = json_of(str(text.ravel()[0]) if text.dtype.kind == "U" and text.size else "")
+    parts = {"K": "controller", "P": "plant"} if name == "design" else {"": ""}
+    for place, key in parts.items():
+        source = held.get(key, {}) if key else held
+        for entry in (*NINE, *"BCD"):
+            shown_as = f"{name}.{place}.{entry}" if place else f"{name}.{entry}"
+            if shown_as not in data or entry not in source:
+                continue
+            if not np.array_equal(np.asarray(source[entry], float).ravel(), np.ravel(data[shown_as])):
+                raise ModelError(
+                    f"{shown_as} is not the one in {name}.{JSON}: one of them was changed. Save a controller that you "
+                    "changed as A, B, C, D, dt, and have it verified anew"
+                )
+    return _from_data(held)
+
+
+def _struct(data: dict[str, np.ndarray]) -> dict[str, Any]:
+    """A, B, C, D and dt of the one struct that has fields of these names (a, b, c, d and Ts of MATLAB's `ss` too)."""
+    structs: dict[str, dict[str, Any]] = {}
+    for name, value in data.items():
+        owner, dot, key = name.partition(".")
+        if dot and key.lower() in STRUCT:
+            structs.setdefault(owner, {})[STRUCT[key.lower()]] = value
+    whole = {owner: fields for owner, fields in structs.items() if set("ABCD") <= fields.keys()}
+    if len(whole) > 1:
+        raise ModelError(f"it has several systems, {', '.join(sorted(whole))}; save one")
+    found = next(iter(whole.values()), {})
+    E = found.pop("E", np.zeros(0))
+    if E.size and not np.array_equal(E, np.eye(len(E))):
+        raise ModelError("its system has a descriptor matrix E; save ss(G, 'explicit')")
+    return found

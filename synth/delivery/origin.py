@@ -15,6 +15,7 @@ from synth.errors import ExportError
 from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.controller import LinearController
 from synth.regulators.sequential import SequentialController, controller_of
+from synth.synthesis import convention
 from synth.synthesis.design import Design
 
 FORBIDDEN = ("*/", "/*", "\\", "??")  # ends or opens a comment in C, continues a line, begins a trigraph
@@ -39,7 +40,7 @@ class Origin:
     outputs: tuple[Signal, ...]  # (m,)
 
 
-def origin_of(source: Any, exported: SequentialController | None = None, accepted: str = "") -> Origin:
+def origin_of(source: Any, exported: SequentialController | AntiWindup | None = None, accepted: str = "") -> Origin:
     """The origin of a Design, or of a controller that comes without a plant.
 
     Where the exported controller is in single precision, the loop is closed with its rounded matrices and measured.
@@ -52,16 +53,17 @@ def origin_of(source: Any, exported: SequentialController | None = None, accepte
     K = controller_of(source)
     inputs = tuple(Signal(f"y{i}", "") for i in range(K.nu))
     outputs = tuple(Signal(f"u{i}", "") for i in range(K.ny))
+    facts = conventions(source, exported)
     if isinstance(source, Design):
-        facts = _facts(source)
-        if exported is not None and exported.dtype == "float":
+        facts |= _facts(source)
+        if isinstance(exported, SequentialController) and exported.dtype == "float":
             facts["rounded"] = _rounded(source, exported)
         if source.shaping is None:  # else y and u of the plant are those of the shaped plant
             P = source.plant
             inputs = tuple(Signal(name, P.units.get(name, "")) for name in P.y)
             outputs = tuple(Signal(name, P.units.get(name, "")) for name in P.u)
     else:
-        facts = {
+        facts |= {
             "plant": "none; the controller was exported without a plant, nothing was verified in a loop",
             "controller": f"sha256 {K.digest()}",
         }
@@ -74,6 +76,17 @@ def origin_of(source: Any, exported: SequentialController | None = None, accepte
         if not text.isprintable() or any(part in text for part in FORBIDDEN):
             raise ExportError(f"{where} is {text!r}; use printable characters without {' '.join(FORBIDDEN)}")
     return origin
+
+
+def conventions(source: Any, exported: SequentialController | AntiWindup | None = None) -> dict[str, str]:
+    """What a controller reads, when, and within which limits: the same words in every format."""
+    if isinstance(source, Design):
+        told = source.convention
+    else:
+        told = convention.ERROR if isinstance(source, LinearController | AntiWindup) else convention.UNTOLD
+    own = exported if exported is not None else source if isinstance(source, AntiWindup) else None
+    kept = "none" if own is None else convention.limits(own.umin, own.umax, bool(own.L.any()))
+    return {"convention": told, "sampling": convention.sampling(controller_of(source).dt), "limits": kept}
 
 
 def _facts(design: Design) -> dict[str, str]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import scipy.io
 
-from synth.delivery.matlab import matlab_timebase
+from synth.delivery.matlab import cell, matlab_timebase
 from synth.delivery.modelfiles import CONTROLLER, CONTROLLER_VERSION
 from synth.delivery.origin import origin_of
 from synth.files import sealed_by_parts
@@ -20,29 +20,38 @@ from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.sequential import controller_of
 
 
-def json_bytes(source: Any) -> bytes:
-    """The content of the .json file, with a sha256 of all of it; limits that are not there are null."""
-    data = {key: _json(value) for key, value in _document(source).items()}
+def json_bytes(source: Any, limited: AntiWindup | None = None, accepted: str = "") -> bytes:
+    """The content of the .json file, with a sha256 of all of it; limits that are not there are null.
+
+    `limited` is the controller of `source` with the limits that it gets on its way out.
+    """
+    data = {key: _json(value) for key, value in _document(source, limited, accepted).items()}
     return json.dumps(sealed_by_parts(data), indent=1).encode()
 
 
-def mat_bytes(source: Any) -> bytes:
+def mat_bytes(source: Any, limited: AntiWindup | None = None, accepted: str = "") -> bytes:
     """The content of the .mat file, one struct ``controller``; ``ss(A, B, C, D, dt)`` rebuilds the system."""
     buffer = io.BytesIO()
-    content = _document(source)
-    content["dt"] = matlab_timebase(content["dt"])
+    content = _document(source, limited, accepted)
+    content |= {"dt": matlab_timebase(content["dt"]), "units": [content["units"].get(s, "") for s in content["u"]]}
+    content |= {key: cell(content[key]) for key in ("y", "u", "units")}
+    content["json"] = json_bytes(source, limited, accepted).decode()
     scipy.io.savemat(buffer, {"controller": content}, oned_as="column", long_field_names=True)
     return buffer.getvalue()
 
 
-def _document(source: Any) -> dict[str, Any]:
+def _document(source: Any, limited: AntiWindup | None, accepted: str) -> dict[str, Any]:
     """Arrays, numbers and texts."""
     K = controller_of(source)
+    limited = source if isinstance(source, AntiWindup) else limited
+    origin = origin_of(source, limited, accepted)
     data: dict[str, Any] = {"format": CONTROLLER, "format_version": float(CONTROLLER_VERSION)}
     data |= {"A": K.A, "B": K.B, "C": K.C, "D": K.D, "dt": K.dt}
-    if isinstance(source, AntiWindup):
-        data |= {"L": source.L, "umin": source.umin, "umax": source.umax}
-    return data | {key.replace(" ", "_"): fact for key, fact in origin_of(source).facts.items()}
+    if limited is not None:
+        data |= {"L": limited.L, "umin": limited.umin, "umax": limited.umax}
+    data |= {"y": [s.name for s in origin.inputs], "u": [s.name for s in origin.outputs]}
+    data["units"] = {s.name: s.unit for s in (*origin.inputs, *origin.outputs) if s.unit}
+    return data | {key.replace(" ", "_"): fact for key, fact in origin.facts.items()}
 
 
 def _json(value: Any) -> Any:

@@ -23,6 +23,7 @@ from synth.checks import as_path, printable, timebase_told
 from synth.errors import ModelError, SynthError, VerificationError
 from synth.files import PARTS, SEAL, check_seal, read_json, sealed_by_parts, write_atomically
 from synth.synthesis import info as infos
+from synth.synthesis.convention import ERROR, sampling, sign
 from synth.synthesis.info import Info
 from synth.synthesis.remarks import floored, poor, words
 from synth.systems.connect import series
@@ -79,6 +80,11 @@ class Design:
     def closing(self) -> StateSpace:
         """The controller that closes `plant`, u = K y: `controller`, or Ks of a loop-shaping design."""
         return self.shaping.Ks if self.shaping else self.controller
+
+    @property
+    def convention(self) -> str:
+        """What `controller` reads, and with which sign: an error "e = r - y, u = K e", or the measured output."""
+        return sign(self.plant.y, shaped=self.shaping is not None)
 
     @property
     def K(self) -> control.StateSpace:
@@ -206,7 +212,7 @@ class Design:
         if self.shaping is not None:
             K = self.controller
             return LinearController.of(StateSpace(K.A, K.B, -K.C, -K.D, K.dt))
-        if not all(name.startswith("error") for name in self.plant.y):
+        if self.convention != ERROR:
             raise ModelError(
                 f"the design measures {', '.join(self.plant.y)}, and whether that is r - y or y only you know: give "
                 "the loop LinearController.of(K), which steps u = K (r - y), with the sign that closes it"
@@ -242,7 +248,8 @@ def to_dict(design: Design) -> dict[str, Any]:
     data = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
-        "convention": "x+ = A x + B y, u = C x + D y (dt > 0) or its continuous counterpart; u = K y",
+        "convention": f"{design.convention}; x+ = A x + B y, u = C x + D y (dt > 0) or its continuous counterpart; "
+        f"{sampling(design.plant.dt)}",
         "controller": _system_to_dict(design.controller),
         "dt": design.plant.dt,
         "gamma": design.gamma,

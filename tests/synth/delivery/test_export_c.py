@@ -305,7 +305,7 @@ def test_rounding_that_loses_the_loop_is_noticed(design, tmp_path):
 def test_unknown_formats_and_options_of_other_formats(tmp_path):
     with pytest.raises(ExportError, match="format is 'pdf'"):
         export(STABLE, "pdf", tmp_path)
-    with pytest.raises(ExportError, match="umax, dtype: a json file holds the design as it is"):
+    with pytest.raises(ExportError, match="dtype: a json file holds the numbers as they are"):
         export(STABLE, "json", tmp_path, umax=1, dtype="float")
 
 
