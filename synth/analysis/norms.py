@@ -132,13 +132,11 @@ def verify(system: Any) -> Verification:
     found = _on_circle(G, poles, TOLERANCE)
     H = found.system
     floor = ROUNDOFF * float(np.linalg.norm(H.D, 2) + np.linalg.norm(H.C, 2) * np.linalg.norm(H.B, 2))
-    if found.peak < floor:  # a loop in which nearly everything cancels: what rounding leaves of it is known better
+    top = max(found.peak, found.mapped)
+    if top < floor:  # a loop in which nearly everything cancels: what rounding leaves of it is known better
         floor = min(floor, rounding(H))
-    if found.confirmed and found.peak >= floor:
-        norm = found.peak * (1 + CONFIRM[0])
-    else:
-        norm = confirm(H, max(found.peak, floor))
-    lost = _lost(H, np.exp(1j * found.angle), float(np.linalg.norm(H.A)))
+    norm = top * (1 + CONFIRM[0]) if found.confirmed and top >= floor else confirm(H, max(top, floor))
+    lost = max(_lost(H, np.exp(1j * found.angle), float(np.linalg.norm(H.A))), abs(found.peak - found.mapped))
     return _with_rounding(Verification(radius, norm, found.peak, found.frequency, 0.0, poles), lost)
 
 
@@ -166,13 +164,14 @@ def judge(P: GeneralizedPlant, K: StateSpace) -> tuple[StateSpace, Verification]
 
 
 class _Found(NamedTuple):
-    """The peak of a stable system, and the balanced discrete system that it was found on."""
+    """The peak of a stable system, evaluated on it, and the balanced discrete system that it was found on."""
 
     system: StateSpace
     peak: float
     angle: float
     frequency: float  # rad/s
     confirmed: bool  # the bounded-real equation has a solution just above the peak
+    mapped: float  # the peak of the discrete system, which has rounded the one that was given
 
 
 def _boundary_distance(G: StateSpace, poles: np.ndarray) -> float:
@@ -185,11 +184,18 @@ def _on_circle(G: StateSpace, poles: np.ndarray, tol: float) -> _Found:
     if G.discrete:
         H = balance(G)
         peak, theta, confirmed = _peak(H, tol)
-        return _Found(H, peak, theta, theta / G.dt, confirmed)
+        return _Found(H, peak, theta, theta / G.dt, confirmed, peak)
     rate = pole_rate(poles)
     H = balance(cayley(G, rate))
     peak, theta, confirmed = _peak(H, tol)
-    return _Found(H, peak, theta, float(rate * np.tan(theta / 2)), confirmed)
+    w = float(rate * np.tan(theta / 2))
+    direct = _gain_at(balance(G), 1j * w)
+    return _Found(H, direct, theta, w, confirmed, peak)
+
+
+def _gain_at(G: StateSpace, s: complex) -> float:
+    """Largest singular value of a stable system at s."""
+    return float(np.linalg.norm(G.C @ np.linalg.solve(s * np.eye(G.n) - G.A, G.B.astype(complex)) + G.D, 2))
 
 
 def _check_stable(G: StateSpace, poles: np.ndarray, radius: float) -> None:
