@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_doors import CONTINUOUS, SAMPLED, UNCERTAIN, WEIGHTED, WRONG, refusal
+from test_doors import CONTINUOUS, SAMPLED, UNCERTAIN, WEIGHTED, refusal
+from wrong import WRONG
 
 import synth
 
