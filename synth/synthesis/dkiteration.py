@@ -38,7 +38,7 @@ ABOVE = 3e-3  # relative: the level whose analytic centres are the scalings that
 LIGHT = 0.02  # part of the largest stiffness below which a scaling may be anything
 FIRST, FINER = 4e-3, 3.0  # how well rounds are solved and fitted at first, and the factor by which where they stall
 FAILURES = (AssumptionError, InfeasibleError, NumericalError, VerificationError)  # of a round
-TOLERANCE, ORDER, ITERATIONS = 1e-3, 5, 15
+TOLERANCE, ORDER, ITERATIONS = 3e-3, 5, 15
 
 
 class Iterate(NamedTuple):

@@ -145,7 +145,7 @@ def test_every_perturbation_is_replayed_and_no_other_contradicts(seed, blocks):
         assert real.max(initial=0.0) <= found.upper * (1 + 1e-6)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(st.integers(0, 10_000), structures, st.floats(-6, 6))
 def test_what_changes_nothing(seed, blocks, power):
     """Units of the blocks' signals, unitary factors of full blocks, transposes; a factor multiplies."""
