@@ -113,6 +113,26 @@ def nugap(models: Any, nominal: Any = None) -> Neighbours:
 
     Reference: Vinnicombe (2001), Uncertainty and Feedback, section 3.2.
     """
+    plants = members(models, nominal)
+    if nominal is not None:
+        middle = plants.pop()
+        gaps = np.array([gapmetric(middle, G).nugap for G in plants])
+        return Neighbours(middle, None, float(gaps.max()), gaps)
+    table = np.zeros((len(plants), len(plants)))
+    for i, G in enumerate(plants):
+        for j in range(i):
+            table[i, j] = table[j, i] = gapmetric(G, plants[j]).nugap
+    best = int(table.max(axis=1).argmin())
+    return Neighbours(plants[best], best, float(table[best].max()), table[best])
+
+
+def members(models: Any, nominal: Any = None) -> list[StateSpace]:
+    """The plants of a set, and the nominal one last where there is one; of the same size and timebase.
+
+    Raises
+    ------
+    ModelError : there are no models, or sizes or timebases differ.
+    """
     if isinstance(models, UncertainSystem):
         vertices = models.gridded(2) if len(models.parameters) <= MOST_VERTICES else []
         models = [models.nominal, *(G for _, G in (*vertices, *models.sample(SAMPLES)))]
@@ -124,16 +144,7 @@ def nugap(models: Any, nominal: Any = None) -> Neighbours:
     if len(set(sizes)) > 1:
         told = ", ".join(f"{name} is {size}" for name, size in zip(named, sizes, strict=True))
         raise ModelError(f"{told}; models, and nominal, must have the same size")
-    if nominal is not None:
-        middle = plants.pop()
-        gaps = np.array([gapmetric(middle, G).nugap for G in plants])
-        return Neighbours(middle, None, float(gaps.max()), gaps)
-    table = np.zeros((len(plants), len(plants)))
-    for i, G in enumerate(plants):
-        for j in range(i):
-            table[i, j] = table[j, i] = gapmetric(G, plants[j]).nugap
-    best = int(table.max(axis=1).argmin())
-    return Neighbours(plants[best], best, float(table[best].max()), table[best])
+    return plants
 
 
 def _mismatch(R1: StateSpace, L2: StateSpace) -> StateSpace:

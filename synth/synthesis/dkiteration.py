@@ -27,9 +27,9 @@ from synth.checks import as_number, as_whole, numerical
 from synth.errors import AssumptionError, InfeasibleError, NumericalError, VerificationError
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import as_plant, hinfsyn
-from synth.synthesis.magnitudes import fitted
 from synth.systems.connect import series
 from synth.systems.generalized import GeneralizedPlant, beside
+from synth.systems.magnitudes import fitted
 from synth.systems.sampled import cayley, inverse_cayley
 from synth.systems.statespace import StateSpace, repeated
 from synth.threads import one_thread

@@ -5,7 +5,7 @@ import pytest
 from distillation import BLOCKS, distillation
 
 from synth import Design, GeneralizedPlant, ModelError, StateSpace, mussv, musyn, system
-from synth.synthesis.magnitudes import fitted
+from synth.systems.magnitudes import fitted
 from synth.systems.sampled import cayley
 
 

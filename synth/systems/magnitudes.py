@@ -1,4 +1,4 @@
-"""Stable systems of low order without zeros in the right half plane whose magnitude is as given: scalings of D-K.
+"""Stable systems of low order without zeros in the right half plane whose magnitude is as given: scalings, weights.
 
     D(s) = g prod (s^2 + 2 a b s + a^2) / (s^2 + 2 c e s + c^2), and (s + a)/(s + c) if the order is odd
 
@@ -23,8 +23,11 @@ FARTHEST = 1.0  # decades beyond the data where poles and zeros may be
 DAMPING = (0.05, 20.0)  # of a section
 
 
-def fitted(omega: np.ndarray, magnitude: np.ndarray, weight: np.ndarray, order: int) -> StateSpace:
-    """The continuous system of that order whose magnitude is nearest at frequencies in rad/s, (k,) positive."""
+def fitted(omega: np.ndarray, magnitude: np.ndarray, weight: np.ndarray, order: int, below: float = 1.0) -> StateSpace:
+    """The continuous system of that order whose magnitude is nearest at frequencies in rad/s, (k,) positive.
+
+    Where it is below the magnitude its distance counts `below` times.
+    """
     x, target = np.log(omega), np.log(magnitude)
     if order == 0:
         return StateSpace.gain([[float(np.exp(np.average(target, weights=weight)))]], 0.0)
@@ -34,7 +37,8 @@ def fitted(omega: np.ndarray, magnitude: np.ndarray, weight: np.ndarray, order: 
     least, most = np.array(bounds).T
 
     def misfit(y: np.ndarray) -> np.ndarray:
-        return weight * (_log_magnitude(y, x, pairs) - target)
+        off = weight * (_log_magnitude(y, x, pairs) - target)
+        return np.where(off < 0, below * off, off)
 
     best = None
     for ratio in (1.0, 3.0, 1 / 3):
