@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from synth.analysis.coprime import gang_of_four as gang_of_four
     from synth.analysis.coprime import ncfmargin as ncfmargin
+    from synth.analysis.cover import ucover as ucover
     from synth.analysis.diskmargins import diskmargin_at as diskmargin_at
     from synth.analysis.gap import Gap as Gap
     from synth.analysis.gap import gapmetric as gapmetric
@@ -203,6 +204,7 @@ _HOME = {
     "state_feedback": "regulators.controller",
     "step": "delivery.timeplots",
     "system": "systems.statespace",
+    "ucover": "analysis.cover",
     "ultidyn": "systems.unmodelled",
     "ureal": "systems.parameters",
     "verify": "analysis.norms",

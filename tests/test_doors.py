@@ -143,6 +143,7 @@ OF_A_SYSTEM: dict[str, Callable[[Any, float], Any]] = {
     "sigma": lambda G, dt: curve(synth.sigma(G, omega=OMEGA)),
     "step": lambda G, dt: curve(synth.step(G, time=5.0)),
     "system": lambda G, dt: response(G),
+    "ucover": lambda G, dt: np.abs(synth.ucover([2.0], G, 0, "additive").weight.D),
     "verify": lambda G, dt: synth.verify(G).norm,
 }  # fmt: skip
 OF_ANOTHER_SYSTEM = {"export", "mpc"}  # tested below
@@ -276,6 +277,7 @@ RIGHT: dict[str, dict[str, Any]] = {
         for name, more in (("wcgain", {"dynamics": None}), ("worst_gain", {"dynamics": None}),
                            ("robstab", {"growing": ("J",)}), ("stability_margin", {"growing": ("J",)}))
     },
+    "ucover": {"models": [CONTINUOUS, 2.0], "nominal": CONTINUOUS, "order": 1, "kind": "additive"},
     "ultidyn": {"name": "flex", "shape": (1, 2), "bound": 0.1, "weight": CONTINUOUS},
     "ureal": {"name": "J", "nominal": 1.0, "range": (0.5, 2.0), "percentage": None, "plusminus": None},
     "verify": {"system": CONTINUOUS},
