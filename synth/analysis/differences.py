@@ -28,7 +28,7 @@ import scipy.linalg as sla
 
 from synth.errors import AssumptionError, NumericalError
 from synth.systems.modes import doubts
-from synth.systems.realization import in_principal_axes, is_singular
+from synth.systems.realization import Matrices, balanced, in_principal_axes, is_singular
 from synth.systems.sampled import inverse_cayley, pole_rate
 from synth.systems.statespace import StateSpace
 
@@ -84,7 +84,7 @@ def difference(G: StateSpace, G0: StateSpace, kind: str, i: int, dt: float) -> D
         for scale in (np.linalg.norm(E.B, axis=0), np.linalg.norm(E.C, axis=1)):
             E, n, cancels = _stabilised(E, n, scale)
             (E, n), stable = _turned(E, n), stable and (cancels or kind == ADDITIVE)
-        E = StateSpace(*in_principal_axes(E.matrices), 0.0)
+        E = _turned_well(E)
         found = np.linalg.norm(E.frequency_response(omega), 2, axis=(1, 2))
         hidden = np.maximum(np.abs(found - expected) - rounded, 0.0)
     except np.linalg.LinAlgError:
@@ -308,7 +308,16 @@ def prepared(G: StateSpace) -> StateSpace:
         H = inverse_cayley(G, 1.0)
         summed = np.abs(G.D) + np.abs(G.C) @ np.abs(np.linalg.inv(G.A + np.eye(G.n))) @ np.abs(G.B)
         G = StateSpace(H.A, H.B, H.C, _cleaned(H.D, EXACT * summed), 0.0)
-    return G if _integrates(G) else StateSpace(*in_principal_axes(G.matrices), 0.0)
+    return G if _integrates(G) else _turned_well(G)
+
+
+def _turned_well(G: StateSpace) -> StateSpace:
+    """The system in its principal axes, those of outputs in a unit in which its gain is about one."""
+    H = StateSpace(*balanced(G.matrices), 0.0)
+    gain = np.linalg.norm(H.B) * np.linalg.norm(H.C) / _size(H.A, H.poles())
+    unit = 2.0 ** np.round(np.log2(gain)) if 0 < gain < np.inf else 1.0
+    A, B, C, _ = in_principal_axes(Matrices(H.A, H.B, H.C / unit, H.D))
+    return StateSpace(A, B, C * unit, G.D, 0.0)
 
 
 def _integrates(G: StateSpace) -> bool:
