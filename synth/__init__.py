@@ -101,6 +101,9 @@ if TYPE_CHECKING:
     from synth.systems.connect import feedback as feedback
     from synth.systems.connect import lft as lft
     from synth.systems.connect import series as series
+    from synth.systems.continuous import d2c as d2c
+    from synth.systems.delays import pade as pade
+    from synth.systems.delays import pade_error as pade_error
     from synth.systems.generalized import GeneralizedPlant as GeneralizedPlant
     from synth.systems.parameters import Expression as Expression
     from synth.systems.parameters import ureal as ureal
@@ -157,6 +160,7 @@ _HOME = {
     "bode": "delivery.frequencyplots",
     "c2d": "systems.sampled",
     "care": "equations.are",
+    "d2c": "systems.continuous",
     "dare": "equations.are",
     "diskmargin": "proof.boxmargins",
     "diskmargin_at": "analysis.diskmargins",
@@ -189,6 +193,8 @@ _HOME = {
     "nichols": "delivery.frequencyplots",
     "nugap": "analysis.gap",
     "nyquist": "delivery.frequencyplots",
+    "pade": "systems.delays",
+    "pade_error": "systems.delays",
     "proportional_derivative": "regulators.controller",
     "pzmap": "delivery.timeplots",
     "quaternion_lqr": "regulators.quaternion",

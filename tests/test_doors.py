@@ -102,6 +102,7 @@ OF_A_SYSTEM: dict[str, Callable[[Any, float], Any]] = {
     "augw": lambda G, dt: response(synth.augw(G, 1.0, 0.1).system),
     "bode": lambda G, dt: curve(synth.bode(G, omega=OMEGA)[0]),
     "c2d": lambda G, dt: response(synth.c2d(G, DT)) if not dt else 0.0,
+    "d2c": lambda G, dt: response(synth.d2c(G)) if dt else 0.0,
     "diskmargin": lambda G, dt: synth.diskmargin(G).alpha,
     "diskmargin_at": lambda G, dt: synth.diskmargin_at(G, OMEGA),
     "diskmarginplot": lambda G, dt: curve(synth.diskmarginplot(G, omega=OMEGA)[0]),
@@ -148,7 +149,7 @@ OF_A_SYSTEM: dict[str, Callable[[Any, float], Any]] = {
 }  # fmt: skip
 OF_ANOTHER_SYSTEM = {"export", "mpc"}  # tested below
 WITHOUT_A_SYSTEM = {
-    "care", "dare", "keygen", "sign", "verify_signature", "proportional_derivative",
+    "care", "dare", "keygen", "sign", "verify_signature", "pade", "pade_error", "proportional_derivative",
     "quaternion_lqr", "quaternion_pd", "quaternion_pid", "read", "read_study",
     "robstab", "stability_margin", "state_feedback", "ultidyn", "ureal", "wcgain", "worst_gain",
 }  # fmt: skip
@@ -218,8 +219,9 @@ RIGHT: dict[str, dict[str, Any]] = {
                "form": "controller", "umin": -1.0, "umax": 1.0, "antiwindup": None, "overload": 2.0,
                "requirements": None},
     "augw": {"G": CONTINUOUS, "W1": 1.0, "W2": 0.1, "W3": 0.2},
-    "c2d": {"G": CONTINUOUS, "dt": 0.1, "method": "zoh"},
+    "c2d": {"G": CONTINUOUS, "dt": 0.1, "method": "tustin", "prewarp": 1.0, "delay": 0.2, "output_delay": 0.1},
     "care": {"A": Z, "B": I, "Q": I, "R": I, "N": None, "E": None},
+    "d2c": {"G": SAMPLED, "method": "tustin", "prewarp": 1.0},
     "dare": {"A": Z, "B": I, "Q": I, "R": I, "N": None, "E": None},
     "allmargin": {"L": CONTINUOUS, "sign": -1},
     "diskmargin": {"L": CONTINUOUS, "sign": -1, "skew": 0.0},
@@ -258,6 +260,8 @@ RIGHT: dict[str, dict[str, Any]] = {
     "nugap": {"models": [CONTINUOUS, 2.0], "nominal": CONTINUOUS},
     **{name: {"systems": CONTINUOUS, "ax": None, "omega": None} for name in ("bode", "nichols", "nyquist", "sigma")},
     **{name: {"systems": CONTINUOUS, "ax": None, "time": None} for name in ("impulse", "step")},
+    "pade": {"delay": 0.3, "n": 3},
+    "pade_error": {"delay": 0.3, "n": 3, "omega": [1.0, 2.0]},
     "pzmap": {"systems": CONTINUOUS, "ax": None},
     "proportional_derivative": {"inertia": [1.0, 2.0, 3.0], "wn": 0.1, "zeta": 0.7, "dt": 0.1},
     "quaternion_lqr": {"inertia": np.eye(3), "dt": 0.1, "Q": None, "R": None, "short_way": True},

@@ -247,7 +247,7 @@ def test_norms(count):
     hold(check, count)
 
 
-@pytest.mark.parametrize("method", ["zoh", "tustin", "midpoint"])
+@pytest.mark.parametrize("method", ["zoh", "foh", "tustin", "midpoint"])
 @effort(15, 80)
 def test_c2d(count, method):
     """The response of the sampled plant, closed by a controller that was sampled exactly."""

@@ -23,12 +23,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import scipy.linalg as sla
 
 from synth.checks import as_limits, as_matrix, as_number, as_period, as_signal, as_vector, as_whole, check_period
 from synth.errors import ModelError, NumericalError
 from synth.predictive.parametriclp import ParametricLp, canonicalise
 from synth.systems.connect import check_dynamic
+from synth.systems.exponential import expm
 from synth.systems.sampled import c2d
 from synth.systems.statespace import StateSpace, as_system
 
@@ -265,8 +265,8 @@ def primer_peak(G: StateSpace, multipliers: np.ndarray, h: float, settle: int) -
     Within a step p leaves its chord by at most h^2/8 max |p''|, and with p' = -B'A'c of the costate c, entry by entry,
     |p''| <= |A^2 B|' exp(|A| h)' |c|.
     """
-    back = sla.expm(G.A.T * h)
-    bend = h**2 / 8 * np.abs(G.A @ G.A @ G.B).T @ sla.expm(np.abs(G.A).T * h)
+    back = expm(G.A.T * h)
+    bend = h**2 / 8 * np.abs(G.A @ G.A @ G.B).T @ expm(np.abs(G.A).T * h)
     costate, points, chords = np.zeros(G.n), [0.0], [0.0]
     for k in range(len(multipliers) + settle - 1, 0, -1):
         if k >= settle:

@@ -11,14 +11,13 @@ from typing import Any, overload
 
 import numpy as np
 
-from synth.checks import as_array, as_whole, check_period
+from synth.checks import as_array, as_whole, check_period, shown
 from synth.errors import ModelError
 from synth.systems import uncertain
+from synth.systems.delays import as_late, lagged
 from synth.systems.realization import loop_solve
 from synth.systems.statespace import StateSpace, as_systems
 from synth.systems.uncertain import UncertainSystem
-
-LONGEST = 5000  # samples of delay in all, each a state
 
 
 @overload
@@ -53,32 +52,21 @@ def input_delay(G: StateSpace, delay: Any) -> StateSpace:
     ------
     ModelError : the system is continuous, or a delay is negative or no whole number of samples.
     """
-    late = as_array("delay", delay, f"pass a time in s, or {G.nu} of them")
-    if late.shape not in ((), (G.nu,)) or late.min() < 0:
-        raise ModelError(f"delay is {late.tolist()}; pass a time in s that is not negative, or {G.nu} of them")
     if not G.discrete:
         raise ModelError(
-            f"delay is {late.tolist()} s, which no continuous system of finite order has; sample the plant first "
-            "(c2d, or `sample` in a study file), or put a Pade approximation into it"
+            f"delay is {shown(delay)} s, which no continuous system of finite order has; sample the plant with it "
+            "(c2d(G, dt, delay=...), or `sample` in a study file), or put a Pade approximant into it (pade)"
         )
-    if late.any():
+    if np.any(as_array("delay", delay)):
         check_period("the plant", G.dt)
-    samples = np.broadcast_to(late / G.dt, (G.nu,))
-    whole = np.round(samples)
-    if not np.allclose(samples, whole, rtol=0, atol=1e-6):
-        raise ModelError(f"delay is {late.tolist()} s, {samples.tolist()} samples of {G.dt:g} s; pass whole samples")
-    if whole.sum() > LONGEST:
+    samples = np.add(*as_late("delay", delay, G.nu, G.dt))
+    if not np.allclose(samples, np.round(samples), rtol=0, atol=1e-6):
         raise ModelError(
-            f"delay is {late.tolist()} s, {whole.sum():.6g} samples in all; at most {LONGEST} can be states"
+            f"delay is {shown(delay)} s, {samples.tolist()} samples of {G.dt:g} s; pass whole samples, or sample the "
+            "continuous plant with it, which is exact: c2d(G, dt, delay=...)"
         )
-    chains = [np.eye(int(k), k=-1) for k in whole]
-    n, ends = sum(map(len, chains)), np.cumsum([len(chain) for chain in chains])
-    A = np.zeros((n, n))
-    B, C, D = np.zeros((n, G.nu)), np.zeros((G.nu, n)), np.diag((whole == 0).astype(float))
-    for j, (chain, end) in enumerate(zip(chains, ends, strict=True)):
-        if k := len(chain):
-            A[end - k : end, end - k : end], B[end - k, j], C[j, end - 1] = chain, 1.0, 1.0
-    return replace(G * StateSpace(A, B, C, D, G.dt), u=G.u, units=G.units)
+    line = lagged(G.nu, range(G.nu), np.round(samples).astype(int).tolist(), G.dt)
+    return replace(G * line, u=G.u, units=G.units)
 
 
 @overload

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.linalg as sla
 
 from synth.checks import as_array
 from synth.errors import ModelError
+from synth.systems.exponential import expm
 
 POINTS = 400  # of a continuous response
 SETTLED = 6.0  # time constants of the slowest pole that are shown by default
@@ -110,12 +110,12 @@ def _horizon(A: np.ndarray, dt: float) -> float:
 def _continuous(F: np.ndarray, start: np.ndarray, grid: np.ndarray) -> np.ndarray:
     """exp(F t) start on a grid; even steps need one exponential."""
     states = np.empty((len(grid), *start.shape))
-    states[0] = sla.expm(F * grid[0]) @ start if grid[0] else start
+    states[0] = expm(F * grid[0]) @ start if grid[0] else start
     steps = np.diff(grid)
     even = steps.size and np.allclose(steps, steps[0], rtol=1e-9, atol=0)
-    E = sla.expm(F * steps[0]) if even else None
+    E = expm(F * steps[0]) if even else None
     for k, h in enumerate(steps):
-        states[k + 1] = (E if E is not None else sla.expm(F * h)) @ states[k]
+        states[k + 1] = (E if E is not None else expm(F * h)) @ states[k]
     return states
 
 

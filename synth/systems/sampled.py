@@ -23,9 +23,13 @@ from typing import Any, overload
 import numpy as np
 import scipy.linalg as sla
 
-from synth.checks import as_choice, as_period, numerical, timebase_told
+from synth.checks import as_array, as_choice, as_number, as_period, numerical, shown, timebase_told
 from synth.errors import ModelError
+from synth.systems.delays import as_late
+from synth.systems.exponential import expm
 from synth.systems.generalized import GeneralizedPlant
+from synth.systems.holds import HOLDS, held, waiting
+from synth.systems.matched import matched
 from synth.systems.parameters import as_expression
 from synth.systems.realization import Matrices, rescaled, state_scales
 from synth.systems.statespace import StateSpace, as_system
@@ -41,10 +45,21 @@ INDEPENDENT = 1e-2  # smallest singular value of D12, its columns of length one,
 @overload
 def c2d(G: UncertainSystem, dt: float, method: str = "zoh") -> UncertainSystem: ...
 @overload
-def c2d(G: Any, dt: float, method: str = "zoh") -> StateSpace: ...
+def c2d(
+    G: Any, dt: float, method: str = "zoh", *, prewarp: float | None = None, delay: Any = 0.0, output_delay: Any = 0.0
+) -> StateSpace: ...
 @numerical
-def c2d(G: Any, dt: float, method: str = "zoh") -> Any:
-    """Continuous to discrete: `"zoh"` exact hold equivalent, `"tustin"` bilinear, `"midpoint"` a hold by that rule.
+def c2d(
+    G: Any, dt: float, method: str = "zoh", *, prewarp: float | None = None, delay: Any = 0.0, output_delay: Any = 0.0
+) -> Any:
+    """Continuous to discrete, with delays of any length.
+
+    Three methods are exact for an input that is known between the samples: `"zoh"` held, `"foh"` straight from sample
+    to sample (D included; the state is x less the effect of the present input), `"impulse"` a train of impulses of area
+    dt u_k, so that the impulse responses agree at the samples, g(0+) = C B at the first. `"tustin"` is the bilinear
+    map, `"midpoint"` a hold by that rule. `"matched"` takes poles and zeros through e^(s dt), as one of one input
+    and one output: of the zeros at infinity one stays there, the others go to -1, and the gain at s = 0 is kept, or
+    what it is divided by powers of s where poles or zeros are there.
 
     Parameters
     ----------
@@ -52,37 +67,71 @@ def c2d(G: Any, dt: float, method: str = "zoh") -> Any:
         exact in the parameters; so is its hold equivalent where the exponential series ends, as of rigid bodies, and
         where parameters are in B, C and D alone
     dt : sampling time in seconds, positive
-    method : "zoh", "tustin" or "midpoint", E (x+ - x) = dt (A (x+ + x)/2 + B u) with u held: the hold equivalent
-        itself of double integrators, such as the axes of a body at rest, and off it by (A dt)^3/12 to third order of
-        others: what is proved of it is then proved of that model
+    method : one of these six; of uncertain systems "zoh", "tustin" or "midpoint". The last is E (x+ - x) =
+        dt (A (x+ + x)/2 + B u) with u held: the hold equivalent itself of double integrators, such as the axes of a
+        body at rest, and off it by (A dt)^3/12 to third order of others: what is proved of it is then proved of that
+        model
+    prewarp : rad/s, below pi/dt: where `"tustin"` keeps the frequency response; at rest when left out
+    delay : s, () or (m,), by which the inputs act later; any with the exact methods, whole periods with the others. The
+        states of whole samples come before those of G
+    output_delay : s, () or (p,), by which the outputs come later, likewise; their states come last
 
     Raises
     ------
-    ModelError : G is no system or is discrete already, dt is not positive, 2/dt is a pole, algebraic states where the
-        midpoint rule has none, or the hold equivalent of an uncertain system is no polynomial in its parameters.
+    ModelError : G is no system or is discrete already, dt is not positive, the rate of the map (2/dt) is a pole,
+        algebraic states where the midpoint rule has none, or the hold equivalent of an uncertain system is no
+        polynomial in its parameters; "impulse" with D, "matched" with several inputs or outputs, a delay that is
+        negative or beyond 5000 samples.
+
+    References: Franklin, Powell and Workman (1998), Digital Control of Dynamic Systems, chapters 4 and 6.
     """
     G = G if isinstance(G, UncertainSystem) else as_system("G", G)
     if G.discrete:
         raise ModelError(f"the system G is already discrete ({timebase_told(G.dt)}); c2d takes a continuous one")
     dt = as_period(dt)
-    as_choice("method", method, ("zoh", "tustin", "midpoint"))
     if isinstance(G, UncertainSystem):
+        if prewarp is not None or np.any(as_array("delay", delay)) or np.any(as_array("output_delay", output_delay)):
+            raise ModelError("prewarp, delay and output_delay are of certain systems; sample G.at(values) with them")
+        as_choice("method", method, ("zoh", "tustin", "midpoint"))
         return {"zoh": _uncertain_hold, "tustin": _uncertain_tustin, "midpoint": _uncertain_midpoint}[method](G, dt)
+    as_choice("method", method, (*HOLDS, "tustin", "midpoint", "matched"))
+    rate = bilinear_rate(method, dt, prewarp)
+    late = as_late("delay", delay, G.nu, dt), as_late("output_delay", output_delay, G.ny, dt)
+    if method in HOLDS and (method != "zoh" or any(line.any() for each in late for line in each)):
+        return held(G, dt, method, *late)
+    return waiting(matched(G, dt) if method == "matched" else _mapped(G, dt, method, rate), method, *late)
+
+
+def _mapped(G: StateSpace, dt: float, method: str, rate: float) -> StateSpace:
+    """By one exponential, or by the Cayley map at `rate`."""
     if G.n == 0:
         return replace(G, dt=dt)
     if method == "zoh":
-        M = sla.expm(dt * np.block([[G.A, G.B], [np.zeros((G.nu, G.n + G.nu))]]))
+        M = expm(dt * np.block([[G.A, G.B], [np.zeros((G.nu, G.n + G.nu))]]))
         return replace(G, A=M[: G.n, : G.n], B=M[: G.n, G.n :], dt=dt)
     try:
-        mapped = cayley(G, 2 / dt, dt)
+        mapped = cayley(G, rate, dt)
         if method == "midpoint":  # the input and the output of the samples, not their means
             return replace(G, A=mapped.A, B=np.linalg.solve(np.eye(G.n) - dt / 2 * G.A, dt * G.B), dt=dt)
         return replace(mapped, u=G.u, y=G.y, units=G.units)
     except ModelError:
         raise ModelError(
-            f"dt is {dt:g} s and 2/dt = {2 / dt:g} rad/s is a pole of the system, which this method sends to "
-            "infinity; pass another dt, or method='zoh'"
+            f"dt is {dt:g} s and {'2/dt' if rate == 2 / dt else 'the rate'} = {rate:g} rad/s is a pole of the system, "
+            "which this method sends to infinity; pass another dt, or method='zoh'"
         ) from None
+
+
+def bilinear_rate(method: str, dt: float, prewarp: Any = None) -> float:
+    """The rate in rad/s of the bilinear map that keeps the response at `prewarp` rad/s, at rest without it."""
+    if prewarp is None:
+        return 2 / dt
+    if method != "tustin":
+        raise ModelError(f"prewarp is {shown(prewarp)} and method {method!r}; it belongs to method='tustin'")
+    told = f"a frequency in rad/s between 0 and pi/dt = {np.pi / dt:g}"
+    w = as_number("prewarp", prewarp, told, above=0)
+    if w * dt >= np.pi:
+        raise ModelError(f"prewarp is {w:g} rad/s; pass {told}")
+    return float(w / np.tan(w * dt / 2))
 
 
 def _uncertain_hold(G: UncertainSystem, dt: float) -> UncertainSystem:
