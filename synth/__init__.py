@@ -80,6 +80,9 @@ if TYPE_CHECKING:
     from synth.regulators.regulator import lqg as lqg
     from synth.regulators.regulator import lqr as lqr
     from synth.regulators.regulator import lqrd as lqrd
+    from synth.regulators.sampledlqg import Estimator as Estimator
+    from synth.regulators.sampledlqg import kalmd as kalmd
+    from synth.regulators.sampledlqg import lqgd as lqgd
     from synth.regulators.sdc import EulerModel as EulerModel
     from synth.regulators.sdc import MrpModel as MrpModel
     from synth.regulators.sdc import QuaternionModel as QuaternionModel
@@ -121,6 +124,7 @@ _HOME = {
     "Certificate": "proof.certify",
     "Controller": "regulators.controller",
     "Design": "synthesis.design",
+    "Estimator": "regulators.sampledlqg",
     "EulerModel": "regulators.sdc",
     "ExportError": "errors",
     "Expression": "systems.parameters",
@@ -176,9 +180,11 @@ _HOME = {
     "hinfnorm": "analysis.norms",
     "hinfsyn": "synthesis.hinfinity",
     "impulse": "delivery.timeplots",
+    "kalmd": "regulators.sampledlqg",
     "keygen": "delivery.signatures",
     "lft": "systems.connect",
     "lqg": "regulators.regulator",
+    "lqgd": "regulators.sampledlqg",
     "lqr": "regulators.regulator",
     "lqrd": "regulators.regulator",
     "margin": "proof.boxmargins",

@@ -119,10 +119,15 @@ OF_A_SYSTEM: dict[str, Callable[[Any, float], Any]] = {
     "hinfnorm": lambda G, dt: synth.hinfnorm(G)[0],
     "hinfsyn": lambda G, dt: gamma(synth.hinfsyn(synth.augw(G, 1.0, 0.1).system.to_control(), 1, 1)),
     "impulse": lambda G, dt: curve(synth.impulse(G, time=5.0)),
+    "kalmd": lambda G, dt: response(synth.kalmd(G, 1.0, 0.1, DT).system[0, 0])
+    if not dt and not synth.system(G).D.any() else 0.0,
     "lft": lambda G, dt: response(synth.lft(synth.augw(plant(dt), 1.0, 0.1).system, G)),
     "lqg": lambda G, dt: response(
         synth.lqg(G, *(np.block([[M, np.zeros((2, 1))], [np.zeros((1, 2)), 1.0]]) for M in weights(G)))
     ),
+    "lqgd": lambda G, dt: response(
+        synth.lqgd(G, *(np.block([[M, np.zeros((2, 1))], [np.zeros((1, 2)), 1.0]]) for M in weights(G)), DT)
+    ) if not dt else 0.0,
     "lqr": lambda G, dt: np.sort_complex(synth.lqr(G, weights(G)[0], 2.0)[2]),
     "lqrd": lambda G, dt: np.sort_complex(synth.lqrd(G, weights(G)[0], 2.0, DT)[2])
     if not dt else 0.0,
@@ -241,10 +246,12 @@ RIGHT: dict[str, dict[str, Any]] = {
     "hinfnorm": {"system": CONTINUOUS, "tol": 1e-9},
     "hinfsyn": {"P": WEIGHTED.system, "nmeas": 1, "ncon": 1, "method": "riccati", "gamma": None, "tol": 1e-3,
                 "ncont": 1},
+    "kalmd": {"sys": STRICT, "Qn": 1.0, "Rn": 0.1, "dt": 0.1},
     "lft": {"P": WEIGHTED.system, "K": CONTINUOUS, "nmeas": 1, "ncon": 1},
     "lqg": {"G": CONTINUOUS, "QXU": np.eye(3), "QWV": np.eye(3)},
+    "lqgd": {"G": CONTINUOUS, "QXU": np.eye(3), "QWV": np.eye(3), "dt": 0.1, "current": False},
     "lqr": {"A": Z, "B": I, "Q": I, "R": 1.0, "N": None, "E": None},
-    "lqrd": {"A": Z, "B": I, "Q": I, "R": 1.0, "dt": 0.1},
+    "lqrd": {"A": Z, "B": I, "Q": I, "R": 1.0, "dt": 0.1, "N": None},
     "margin": {"L": CONTINUOUS, "sign": -1},
     "margins": {"P": CONTINUOUS, "K": 0.3, "sign": -1},
     "minimum_fuel": {"G": STRICT, "free": [[2.0]] * 3, "box": 1.0, "dt": 0.5, "settle": 1},

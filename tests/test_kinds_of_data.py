@@ -38,6 +38,7 @@ KINDS: dict[str, tuple[Any, str]] = {
 }
 ARRAYS = {  # doors that take an array by these parameters
     "care": "ABQR", "dare": "ABQR", "dlqr": "ABQR", "lqr": "ABQR", "lqrd": "ABQR", "lqg": ("QXU", "QWV"),
+    "lqgd": ("QXU", "QWV"), "kalmd": ("Qn", "Rn"),
     "mpc": ("Q", "R", "umin", "umax"), "fuel_mpc": ("box", "umax"), "minimum_fuel": ("free", "box"),
     "free_motion": ("x0",), "augw": ("W1", "W2", "W3"), "state_feedback": "K", "quaternion_lqr": ("inertia",),
     "quaternion_pd": ("inertia",), "proportional_derivative": ("inertia",), "diskmargin_at": ("omega",),

@@ -15,7 +15,6 @@ from functools import cached_property
 from typing import Any, NamedTuple, overload
 
 import numpy as np
-import scipy.linalg as sla
 
 from synth.checks import as_array, as_cost, as_matrix, as_number, as_symmetric
 from synth.equations.are import check_descriptor, is_definite, solve
@@ -23,6 +22,7 @@ from synth.equations.refinement import Equation, Judged
 from synth.errors import ModelError, NumericalError
 from synth.regulators.diagnosis import failure
 from synth.systems.connect import check_dynamic
+from synth.systems.exponential import expm as exponential
 from synth.systems.realization import Matrices, state_scales
 from synth.systems.statespace import StateSpace, as_system
 
@@ -188,39 +188,58 @@ class SampledCost(NamedTuple):
 
 
 @overload
-def lqrd(A: Any, B: Any, Q: Any, R: Any, dt: Any) -> Regulator: ...
+def lqrd(A: Any, B: Any, Q: Any, R: Any, dt: Any, N: Any = None) -> Regulator: ...
 @overload
-def lqrd(sys: Any, Q: Any, R: Any, dt: Any, /) -> Regulator: ...
+def lqrd(sys: Any, Q: Any, R: Any, dt: Any, N: Any = None, /) -> Regulator: ...
 def lqrd(*arguments: Any, **named: Any) -> Regulator:
-    """Regulator u = -K x, held for `dt` s, that minimises the integral of x'Q x + u'R u along dx = A x + B u.
+    """Regulator u = -K x, held for `dt` s, that minimises the integral of x'Q x + u'R u + 2 x'N u, dx = A x + B u.
 
-    Called as lqrd(A, B, Q, R, dt) or lqrd(sys, Q, R, dt).
+    Called as lqrd(A, B, Q, R, dt[, N]) or lqrd(sys, Q, R, dt[, N]); N comes last, where MATLAB has it before dt.
     The continuous gain of `lqr` under a hold can be unstable: it suits periods well below its fastest time constant.
 
     Parameters
     ----------
-    A, B, sys, Q, R : as in `lqr`
+    A, B, sys, Q, R, N : as in `lqr`
     dt : () s, control period, positive
 
     Returns
     -------
-    K, S, E : as of `dlqr`, for the sampled model and the cost between the samples
+    K, S, E : as of `dlqr`, for the sampled model and the cost between the samples: x'S x is the integral from x on
 
     Raises
     ------
     ModelError, AssumptionError, NumericalError : as `lqr`; also for a period that loses stabilisability.
     """
-    given = _arguments("lqrd", ("Q", "R", "dt"), arguments, named)
+    given = _arguments("lqrd", ("Q", "R", "dt", "N"), arguments, named)
     if given.dt:
         raise ModelError(f"sys has dt = {given.dt}; lqrd samples a continuous system itself")
     A, B, (n, m) = given.A, given.B, given.B.shape
     Q, R = as_symmetric("Q", given.weights[0], n), as_cost("R", given.weights[1], m, definite=True)
     dt = as_number("dt", given.weights[2], "the control period in seconds", above=0)
+    N = np.zeros((n, m)) if given.weights[3] is None else as_matrix("N", given.weights[3], (n, m))
     scales = _scales(A, B, Q)
-    A, B, Q = A * scales / scales[:, None], B / scales[:, None], scales[:, None] * Q * scales
+    A, B, Q, N = A * scales / scales[:, None], B / scales[:, None], scales[:, None] * Q * scales, scales[:, None] * N
+    found = regulated(cost_of_a_period(A, B, Q, R, N, dt))
+    K, S, E = found
+    return Regulator(K / scales, S / scales / scales[:, None], E, lambda: found._judged)
+
+
+def regulated(cost: SampledCost) -> Regulator:
+    """The regulator of a sampled model and cost."""
+    Q, R = (cost.Q + cost.Q.T) / 2, (cost.R + cost.R.T) / 2
+    return _regulator(cost.F, cost.G, Q, R, cost.N, None, discrete=True)
+
+
+def cost_of_a_period(A: np.ndarray, B: np.ndarray, Q: Any, R: Any, N: Any, dt: float) -> SampledCost:
+    """`sampled_cost` for modes of any speed, from balanced matrices.
+
+    Raises
+    ------
+    NumericalError : an unstable mode has too many time constants in a period.
+    """
     doublings = max(int(np.ceil(np.log2(max(np.linalg.norm(A, 2) * dt, 1.0)))), 0)
     with np.errstate(over="ignore", invalid="ignore"):
-        cost = sampled_cost(A, B, Q, R, dt / 2**doublings)
+        cost = sampled_cost(A, B, Q, R, dt / 2**doublings, N=N)
         for _ in range(doublings):
             cost = _doubled(cost)
     if not all(np.isfinite(M).all() for M in cost):
@@ -228,22 +247,22 @@ def lqrd(*arguments: Any, **named: Any) -> Regulator:
             f"the fastest mode of A, {np.abs(np.linalg.eigvals(A)).max():.4g} rad/s, has too many time constants in "
             f"dt = {dt:g} s for an exponential; pass a shorter period, or a model without that mode"
         )
-    Q, R = (cost.Q + cost.Q.T) / 2, (cost.R + cost.R.T) / 2
-    found = _regulator(cost.F, cost.G, Q, R, cost.N, None, discrete=True)
-    K, S, E = found
-    return Regulator(K / scales, S / scales / scales[:, None], E, lambda: found._judged)
+    return cost
 
 
-def sampled_cost(A: Any, B: Any, Q: Any, R: Any, dt: Any, *, xp: Any = np, expm: Any = sla.expm) -> SampledCost:
+def sampled_cost(
+    A: Any, B: Any, Q: Any, R: Any, dt: Any, *, N: Any = None, xp: Any = np, expm: Any = exponential
+) -> SampledCost:
     """Model and cost of one period `dt` s with the command held, by one exponential (Van Loan).
 
-    With M = [[A, B], [0, 0]] and W = diag(Q, R):  exp([[-M', W], [0, M]] dt) = [[., X], [0, e^M dt]], and the integral
-    of e^M't W e^Mt over the period is (e^M dt)' X. Traceable with `jax.numpy` and its `expm`.
+    With M = [[A, B], [0, 0]] and W = [[Q, N], [N', R]]:  exp([[-M', W], [0, M]] dt) = [[., X], [0, e^M dt]], and
+    the integral of e^M't W e^Mt over the period is (e^M dt)' X. Traceable with `jax.numpy` and its `expm`.
     It loses digits where modes of A decay within a small part of the period: `lqrd` doubles a short one.
     """
     n, m = B.shape
     M = xp.block([[A, B], [xp.zeros((m, n + m))]])
-    W = xp.block([[Q, xp.zeros((n, m))], [xp.zeros((m, n)), R]])
+    N = xp.zeros((n, m)) if N is None else N
+    W = xp.block([[Q, N], [N.T, R]])
     E = expm(xp.block([[-M.T, W], [xp.zeros((n + m, n + m)), M]]) * dt)
     end = E[n + m :, n + m :]
     J = end.T @ E[: n + m, n + m :]

@@ -85,8 +85,8 @@ def waiting(G: StateSpace, method: str, arrival: Late, departure: Late) -> State
     for name, late in (("delay", arrival), ("output_delay", departure)):
         if late.part.any():
             raise ModelError(
-                f"{name} is {np.add(*late).tolist()} samples of dt = {G.dt:g} s, and method {method!r} has whole ones only; "
-                "pass a method that is exact (zoh, foh, impulse), or whole samples"
+                f"{name} is {np.add(*late).tolist()} samples of dt = {G.dt:g} s, and method {method!r} has whole ones "
+                "only; pass a method that is exact (zoh, foh, impulse), or whole samples"
             )
     return _in_line(G, G, range(G.nu), arrival.whole, departure)
 
