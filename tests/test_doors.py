@@ -252,7 +252,7 @@ RIGHT: dict[str, dict[str, Any]] = {
     "lqgd": {"G": CONTINUOUS, "QXU": np.eye(3), "QWV": np.eye(3), "dt": 0.1, "current": False},
     "lqr": {"A": Z, "B": I, "Q": I, "R": 1.0, "N": None, "E": None},
     "lqrd": {"A": Z, "B": I, "Q": I, "R": 1.0, "dt": 0.1, "N": None},
-    "margin": {"L": CONTINUOUS, "sign": -1},
+    "margin": {"L": CONTINUOUS, "sign": -1, "delay": 0.1},
     "margins": {"P": CONTINUOUS, "K": 0.3, "sign": -1},
     "minimum_fuel": {"G": STRICT, "free": [[2.0]] * 3, "box": 1.0, "dt": 0.5, "settle": 1},
     "mixsyn": {"G": CONTINUOUS, "W1": 1.0, "W2": 0.1, "W3": None, "shift": 0.0, "method": "riccati", "gamma": None,

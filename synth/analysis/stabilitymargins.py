@@ -139,7 +139,7 @@ def margin(L: Any, sign: int = -1) -> Margin:
 
     Reference: Skogestad and Postlethwaite (2005), section 2.4.3.
     """
-    G = _one_signal(L, sign)
+    G = one_signal(L, sign)
     if not _closed_loop_stable(G):
         return Margin(1.0, 1.0, 0.0, 0.0, np.nan, np.nan, np.nan)
     found = find(G)
@@ -170,13 +170,13 @@ def allmargin(L: Any, sign: int = -1) -> AllMargins:
     ------
     ModelError : as `margin`.
     """
-    G = _one_signal(L, sign)
+    G = one_signal(L, sign)
     found = find(G)
     columns = (np.array(pairs).reshape(-1, 2).T for pairs in (_gains(found), _phases(found), _lags(found)))
     return AllMargins(_closed_loop_stable(G), *(column for pair in columns for column in pair))
 
 
-def _one_signal(L: Any, sign: int) -> StateSpace:
+def one_signal(L: Any, sign: int) -> StateSpace:
     """The loop for negative feedback."""
     G = negative(L, sign)
     if (G.ny, G.nu) != (1, 1):

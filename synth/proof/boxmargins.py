@@ -26,7 +26,7 @@ from typing import Any, overload
 import numpy as np
 from scipy import optimize
 
-from synth.analysis import diskmargins, stabilitymargins
+from synth.analysis import delayedmargins, diskmargins, stabilitymargins
 from synth.analysis.diskmargins import DiskMargin
 from synth.analysis.stabilitymargins import Loops, Margin, Margins
 from synth.analysis.structured import best_scaling
@@ -163,16 +163,17 @@ def inverted(found: WorstCase, quantity: str) -> WorstCase:
 
 
 @overload
-def margin(L: UncertainSystem, sign: int = -1) -> BoxMargin: ...
+def margin(L: UncertainSystem, sign: int = -1, *, delay: float = 0.0) -> BoxMargin: ...
 @overload
-def margin(L: Any, sign: int = -1) -> Margin: ...
-def margin(L: Any, sign: int = -1) -> Margin:
+def margin(L: Any, sign: int = -1, *, delay: float = 0.0) -> Margin: ...
+def margin(L: Any, sign: int = -1, *, delay: float = 0.0) -> Margin:
     """Gain, phase and delay margin of a loop of one signal.
 
     Parameters
     ----------
     L : loop transfer function of one signal, in any form that `system` takes, or an uncertain one
     sign : -1 for negative feedback 1 + L (default), +1 for 1 - L
+    delay : s, of a certain loop: the margins are of L(s) e^(-s delay), exactly; in discrete time whole samples
 
     Returns
     -------
@@ -182,13 +183,19 @@ def margin(L: Any, sign: int = -1) -> Margin:
 
     Raises
     ------
-    ModelError : L has several inputs or outputs, or `sign` is neither -1 nor 1.
+    ModelError : L has several inputs or outputs, `sign` is neither -1 nor 1, the delay is negative or of an uncertain
+        loop.
     NumericalError : the poles of the loop do not confirm what its crossings say.
 
-    Reference: Skogestad and Postlethwaite (2005), section 2.4.3; for uncertain loops the head of this file.
+    References: Skogestad and Postlethwaite (2005), section 2.4.3; Walton and Marshall (1987), IEE Proc. D 134, 101
+    (delays); for uncertain loops the head of this file.
     """
     if not isinstance(L, UncertainSystem):
-        return stabilitymargins.margin(L, sign)
+        return delayedmargins.margin(L, sign, delay)
+    if as_number("delay", delay, "a time in s that is not negative", least=0):
+        raise ModelError(
+            f"delay is {delay:g} s and L is uncertain; pass series(L, pade(delay, n)) for a proof about that"
+        )
     if not L.parameters:
         raise ModelError("L has no uncertain parameters; pass L.nominal")
     G = _negative(L, sign)
@@ -198,11 +205,11 @@ def margin(L: Any, sign: int = -1) -> Margin:
         nothing = stabilitymargins.margin(G.nominal)
         return BoxMargin(*(getattr(nothing, name) for name in Margin.__dataclass_fields__), worst={})
     up, down, phase = _gain(G, GAIN_UP), _gain(G, GAIN_DOWN), _phase(G)
-    delay = _delay(G, [up, down, phase])
+    late = _delay(G, [up, down, phase])
     nearer = min((up, down), key=lambda r: abs(np.log(r.lower if r is up else r.upper)))
-    worst = {"gain_up": up, "gain_down": down, "phase": phase, "delay": delay}
+    worst = {"gain_up": up, "gain_down": down, "phase": phase, "delay": late}
     return BoxMargin(
-        up.lower, down.upper, phase.lower, delay.lower, nearer.frequency, phase.frequency, delay.frequency, worst=worst
+        up.lower, down.upper, phase.lower, late.lower, nearer.frequency, phase.frequency, late.frequency, worst=worst
     )
 
 

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from synth.checks import as_array, as_cost, as_flag, as_period
-from synth.errors import ModelError
+from synth.errors import AssumptionError, ModelError
 from synth.regulators.regulator import cost_of_a_period, dlqr, regulated
 from synth.systems.connect import check_dynamic
 from synth.systems.realization import Matrices, state_scales
@@ -152,7 +152,11 @@ def _noise(A: np.ndarray, W: np.ndarray, dt: float) -> np.ndarray:
 
 def _filter(F: np.ndarray, C: np.ndarray, W: np.ndarray, V: np.ndarray) -> tuple[np.ndarray, ...]:
     """L, P, M, Z of the stationary discrete filter."""
-    K, P, _ = dlqr(F.T, C.T, W, V)
+    try:
+        K, P, _ = dlqr(F.T, C.T, W, V)
+    except AssumptionError as error:
+        told = f"of the filter, for which read sensor for actuator, noise for weight and estimate for control: {error}"
+        raise AssumptionError(error.assumption, told, error.modes) from None
     M = np.linalg.solve(V + C @ P @ C.T, C @ P).T
     Z = P - M @ C @ P
     return K.T, P, M, (Z + Z.T) / 2

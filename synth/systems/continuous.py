@@ -14,6 +14,7 @@ from synth.errors import ModelError, NumericalError
 from synth.systems.exponential import expm
 from synth.systems.holds import within
 from synth.systems.matched import check_logarithm, unmatched
+from synth.systems.modes import doubts
 from synth.systems.realization import Matrices, rescaled, state_scales
 from synth.systems.sampled import bilinear_rate, inverse_cayley
 from synth.systems.statespace import StateSpace, as_system
@@ -37,7 +38,7 @@ def d2c(G: Any, method: str = "zoh", *, prewarp: float | None = None) -> StateSp
     ------
     ModelError : G is continuous or its sampling time is not said; "zoh", "foh" and "matched": a pole at 0 (a delay) or
         below (it changes sign every sample), which no real system of this order has; "tustin", "midpoint": one at -1.
-    NumericalError : sampled again, the logarithm is not A.
+    NumericalError : a pole is 0 to rounding, or the logarithm of A, sampled again, is not A.
 
     Reference: Higham (2008), Functions of Matrices, chapter 11 (logarithm).
     """
@@ -66,9 +67,16 @@ def d2c(G: Any, method: str = "zoh", *, prewarp: float | None = None) -> StateSp
 
 def _released(G: StateSpace, method: str) -> StateSpace:
     """By the logarithm of A; B and D are linear in what they were before."""
-    check_logarithm(method, "pole", G.poles())
     scales, n, dt = state_scales(G.matrices), G.n, G.dt
     A, B, C, D = rescaled(G.matrices, scales)
+    if np.tril(A, -1).any() and np.triu(A, 1).any():  # of triangular matrices the poles are known to every digit
+        values, doubt = doubts(A)
+        if np.any(np.abs(values) <= doubt):
+            raise NumericalError(
+                f"method is {method!r} and G has a pole that is 0 to rounding, which is a delay, or "
+                "a mode that has died within a sample: no logarithm finds it; pass method='tustin', or take it out"
+            )
+    check_logarithm(method, "pole", G.poles())
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of inaccuracy, which is measured below
         L = np.real(np.asarray(sla.logm(A)))

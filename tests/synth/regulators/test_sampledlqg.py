@@ -201,6 +201,8 @@ def test_what_is_refused():
     G = StateSpace([[-1.0]], [[1.0, 1.0]], [[1.0]], [[0.0, 1.0]])
     with pytest.raises(ModelError, match="direct term from w to y"):
         kalmd(G, 1.0, 1.0, 0.1)
+    with pytest.raises(AssumptionError, match="read sensor for actuator"):
+        kalmd(([[1.0]], [[1.0]], [[0.0]], [[0.0]]), 1.0, 1.0, 0.1)
     with pytest.raises(ModelError, match="Qn has 3 rows and sys 2 inputs"):
         kalmd(G, [1, 1, 1], 1.0, 0.1)
     with pytest.raises(ModelError, match="Rn has the eigenvalue"):

@@ -272,6 +272,10 @@ def test_what_is_refused():
             d2c(([1.0, 0.3], [1.0, 0.5], 0.1), method)
         with pytest.raises(ModelError, match="at 0 it is a delay"):
             d2c(([1.0, 0.3], [1.0, 0.0], 0.1), method)
+    Q = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
+    dead = StateSpace(Q @ np.diag([-100.0, -1, -2]) @ Q.T, Q[:, :1], Q[:1], [[0.0]])
+    with pytest.raises(NumericalError, match="a pole that is 0 to rounding"):
+        d2c(c2d(dead, 1.0))
     with pytest.raises(ModelError, match="a pole at z = -1"):
         d2c(([1.0], [1.0, 1.0], 0.1), "tustin")
     with pytest.raises(ModelError, match="already continuous"):
