@@ -54,7 +54,7 @@ def input_delay(G: StateSpace, delay: Any) -> StateSpace:
     """
     if not G.discrete:
         raise ModelError(
-            f"delay is {shown(delay)} s, which no continuous system of finite order has; sample the plant with it "
+            f"delay is {shown(delay)} s, which no continuous system of finite order has; sample the plant first "
             "(c2d(G, dt, delay=...), or `sample` in a study file), or put a Pade approximant into it (pade)"
         )
     if np.any(as_array("delay", delay)):

@@ -12,11 +12,11 @@ import scipy.linalg as sla
 from synth.checks import as_choice, check_period, numerical
 from synth.errors import ModelError, NumericalError
 from synth.systems.exponential import expm
-from synth.systems.holds import within
+from synth.systems.holds import bilinear_rate, within
 from synth.systems.matched import check_logarithm, unmatched
 from synth.systems.modes import doubts
 from synth.systems.realization import Matrices, rescaled, state_scales
-from synth.systems.sampled import bilinear_rate, inverse_cayley
+from synth.systems.sampled import inverse_cayley
 from synth.systems.statespace import StateSpace, as_system
 
 AGREES = 1e-6  # relative error of A sampled again

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from synth.checks import as_number, shown
 from synth.errors import ModelError
 from synth.systems.delays import WHOLE, Late, lagged
 from synth.systems.exponential import expm
@@ -99,6 +100,19 @@ def _in_line(sampled: StateSpace, G: StateSpace, channels: Iterable[Any], lags: 
     if departure.whole.any():
         sampled = lagged(G.ny, range(G.ny), departure.whole, sampled.dt) * sampled
     return replace(sampled, u=G.u, y=G.y, units=G.units)
+
+
+def bilinear_rate(method: str, dt: float, prewarp: Any = None) -> float:
+    """The rate in rad/s of the bilinear map that keeps the response at `prewarp` rad/s, at rest without it."""
+    if prewarp is None:
+        return 2 / dt
+    if method != "tustin":
+        raise ModelError(f"prewarp is {shown(prewarp)} and method {method!r}; it belongs to method='tustin'")
+    told = f"a frequency in rad/s between 0 and pi/dt = {np.pi / dt:g}"
+    w = as_number("prewarp", prewarp, told, above=0)
+    if w * dt >= np.pi:
+        raise ModelError(f"prewarp is {w:g} rad/s; pass {told}")
+    return float(w / np.tan(w * dt / 2))
 
 
 def within(M: Matrices, dt: float, method: str, f: np.ndarray, t: float) -> Within:

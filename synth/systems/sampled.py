@@ -23,12 +23,12 @@ from typing import Any, overload
 import numpy as np
 import scipy.linalg as sla
 
-from synth.checks import as_array, as_choice, as_number, as_period, numerical, shown, timebase_told
+from synth.checks import as_array, as_choice, as_period, numerical, timebase_told
 from synth.errors import ModelError
 from synth.systems.delays import as_late
 from synth.systems.exponential import expm
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.holds import HOLDS, held, waiting
+from synth.systems.holds import HOLDS, bilinear_rate, held, waiting
 from synth.systems.matched import matched
 from synth.systems.parameters import as_expression
 from synth.systems.realization import Matrices, rescaled, state_scales
@@ -119,19 +119,6 @@ def _mapped(G: StateSpace, dt: float, method: str, rate: float) -> StateSpace:
             f"dt is {dt:g} s and {'2/dt' if rate == 2 / dt else 'the rate'} = {rate:g} rad/s is a pole of the system, "
             "which this method sends to infinity; pass another dt, or method='zoh'"
         ) from None
-
-
-def bilinear_rate(method: str, dt: float, prewarp: Any = None) -> float:
-    """The rate in rad/s of the bilinear map that keeps the response at `prewarp` rad/s, at rest without it."""
-    if prewarp is None:
-        return 2 / dt
-    if method != "tustin":
-        raise ModelError(f"prewarp is {shown(prewarp)} and method {method!r}; it belongs to method='tustin'")
-    told = f"a frequency in rad/s between 0 and pi/dt = {np.pi / dt:g}"
-    w = as_number("prewarp", prewarp, told, above=0)
-    if w * dt >= np.pi:
-        raise ModelError(f"prewarp is {w:g} rad/s; pass {told}")
-    return float(w / np.tan(w * dt / 2))
 
 
 def _uncertain_hold(G: UncertainSystem, dt: float) -> UncertainSystem:
