@@ -42,7 +42,8 @@ def kalmd(sys: Any, Qn: Any, Rn: Any, dt: Any) -> Estimator:
     ----------
     sys : continuous plant with inputs u and then w, in any form that `system` takes; as many are w as Qn has rows
     Qn : (q, q) intensity of w, symmetric positive semidefinite; a number for one w, a list for independent ones
-    Rn : (p, p) intensity of v, symmetric positive definite, likewise; a sample has the variance Rn / dt
+    Rn : (p, p) intensity of v, symmetric positive definite, likewise; a sample has the variance Rn / dt, so that a
+        sensor whose samples have the variance r has Rn = r dt
     dt : () s, sampling period, u being held
 
     Returns
