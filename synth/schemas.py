@@ -277,6 +277,26 @@ class Parameter(Record):
     high: float
 
 
+class Remainder(Record):
+    """What an entry of a hold equivalent is off its polynomial at most."""
+
+    name: str
+    at: Annotated[list[Annotated[int, Field(ge=0, le=1000)]], Field(min_length=2, max_length=2)]
+    size: Positive
+
+
+class Hold(Record):
+    """A plant whose hold equivalent stands in a sampled system; see `synth.systems.polynomialholds`."""
+
+    name: str
+    E: Entries
+    A: Entries
+    dt: Positive
+    tol: Positive
+    parameters: Annotated[list[Parameter], Field(max_length=20)]
+    remainders: list[Remainder]
+
+
 class UncertainSystem(Record):
     """See `synth.systems.uncertain`; entries are numbers, or lists of coefficients with powers of parameters."""
 
@@ -289,6 +309,7 @@ class UncertainSystem(Record):
     dt: Timebase
     u: Names
     y: Names
+    holds: Annotated[list[Hold], Field(max_length=20)] = []
 
 
 class BoxCertificate(Record):
@@ -306,6 +327,7 @@ class BoxCertificate(Record):
     system: UncertainSystem
     edges: Annotated[list[Positive], Field(min_length=2, max_length=1000, fail_fast=True)]
     script: Annotated[list[str], Field(fail_fast=True)]
+    degrees: Annotated[list[Annotated[int, Field(ge=1, le=40)]], Field(max_length=20)] = []
     sha256: str
 
 

@@ -9,7 +9,8 @@ that just holds them is as small as it can be.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from fractions import Fraction
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -17,7 +18,7 @@ import scipy.linalg as sla
 from scipy import optimize
 
 from synth.errors import ModelError
-from synth.systems.parameters import Parameter
+from synth.systems.parameters import Expression, Parameter
 from synth.systems.uncertain import UncertainSystem
 
 VERTICES = 64  # of a box that are looked at, at most
@@ -27,6 +28,7 @@ GRID = 24  # frequencies besides those of the poles
 FARTHEST = 100.0  # times the ranges: as far as instability is looked for
 RAYS = np.geomspace(0.02, FARTHEST, 48)
 HALVINGS = 40
+LOW = 4  # powers that cancel little
 NOWHERE = 1e-9  # times the ranges: nothing grows
 SINGULAR = 1e10  # condition of E from which on poles may be at infinity
 ROUNDED = 1e-9  # of the poles' size: a growth that may be rounding
@@ -59,12 +61,12 @@ class Numbers:
         self.nominal = np.array([p.nominal for p in box])
         self.low, self.high = np.array([p.low for p in box]), np.array([p.high for p in box])
         self.up, self.down = self.high - self.nominal, self.nominal - self.low
-        S = np.block([[G.A, G.B], [G.C, G.D]])
-        monomials = sorted({m for M in (G.E, S) for entry in M.flat for m in entry.terms})
+        E, S, self.origin = _centred(G, box)
+        monomials = sorted({m for M in (E, S) for entry in M.flat for m in entry.terms})
         self.powers = np.array([[dict(m).get(name, 0) for name in names] for m in monomials])
         self.E, self.S = (
             np.array([[[float(entry.terms.get(m, 0)) for entry in row] for row in M] for m in monomials])
-            for M in (G.E, S)
+            for M in (E, S)
         )
         self.fixed = ~(self.E.any(axis=(0, 1)) | self.E.any(axis=(0, 2)))  # algebraic states
 
@@ -97,11 +99,11 @@ class Numbers:
 
     def _weights(self, t: np.ndarray) -> np.ndarray:
         """Monomials at t (..., parameters), (..., m)."""
-        return (self.values(t)[..., None, :] ** self.powers).prod(axis=-1)
+        return ((self.values(t) - self.origin)[..., None, :] ** self.powers).prod(axis=-1)
 
     def _slopes(self, t: np.ndarray) -> np.ndarray:
         """Derivatives of the monomials by t, (m, parameters)."""
-        x = self.values(t)
+        x = self.values(t) - self.origin
         factors = x**self.powers
         slopes = np.empty(self.powers.shape)
         for i in range(len(x)):
@@ -148,7 +150,7 @@ class Numbers:
 
     def growths(self, points: np.ndarray) -> np.ndarray:
         """Of several points, (k, parameters), at once."""
-        weights = (self.values(points)[:, None] ** self.powers).prod(axis=2)
+        weights = self._weights(points)
         try:
             E, A, _, _ = self._moving(np.tensordot(weights, self.E, 1), np.tensordot(weights, self.S, 1))
             regular = A.size > 0 and bool((np.linalg.cond(E) < SINGULAR).all())
@@ -205,6 +207,26 @@ class Numbers:
         turned = 2j / (1 - 1j * w) ** 2 if self.discrete else 1j
         by_w = (-turned * (l[:n] @ E @ r[:n])).real
         return float(sigma[0]), np.concatenate([[by_w * w], by_monomial @ self._slopes(t)])
+
+
+def _centred(G: UncertainSystem, box: Sequence[Parameter]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """E and [A, B; C, D] without remainders, in powers of parameters less their origins, and these.
+
+    The origin is the nominal value where there are high powers, which would cancel each other around zero.
+    """
+    parts, origin = [G.E, np.block([[G.A, G.B], [G.C, G.D]])], np.zeros(len(box))
+    known = {p.name: p for p in box}
+
+    def each(M: np.ndarray, change: Callable[[Expression], Expression]) -> np.ndarray:
+        return np.array([change(x) for x in M.flat], object).reshape(M.shape)
+
+    if G.remainders:
+        parts = [each(M, lambda x: x.without(G.remainders)) for M in parts]
+    for k, p in enumerate(box):
+        if any(dict(m).get(p.name, 0) > LOW for M in parts for x in M.flat for m in x.terms):
+            origin[k] = p.nominal
+            parts = [each(M, lambda x, p=p: x.moved(known[p.name], Fraction(p.nominal))) for M in parts]
+    return parts[0], parts[1], origin
 
 
 def _eigenvalues(A: np.ndarray, E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

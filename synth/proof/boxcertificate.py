@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -28,7 +28,8 @@ from synth.files import read_json, sealed, write_atomically
 from synth.proof import robust
 from synth.proof.boxes import follows
 from synth.proof.pencils import Pencil, rational
-from synth.systems.parameters import Expression, Parameter, as_expression
+from synth.systems.parameters import Expression, Hold, Parameter, Remainder, as_expression
+from synth.systems.polynomialholds import as_hold, errors
 from synth.systems.uncertain import UncertainSystem
 
 FORMAT = "convex-synth box certificate"
@@ -51,6 +52,7 @@ class BoxCertificate:
     bits: int  # precision of the ball arithmetic
     edges: tuple[float, ...]  # of the pieces of frequency, rad/s or tan(omega dt / 2)
     script: tuple[str, ...]  # of halvings
+    degrees: tuple[int, ...] = ()  # of interpolants in the parameters, of loops with hold equivalents
 
     def __repr__(self) -> str:
         return f"BoxCertificate({self.statement})"
@@ -83,10 +85,38 @@ class BoxCertificate:
             raise VerificationError("the certificate is of another loop: its matrices or parameters differ")
         what = "the norm" if self.quantity == GAIN else "stability"
         try:
+            if not self._proves_holds():
+                raise VerificationError("what is claimed of a hold equivalent does not hold")
             if not (self._proves_level() and self._proves_point()):
                 raise VerificationError(f"the script does not prove what is claimed of {what}")
-        except (ZeroDivisionError, ValueError, OverflowError) as error:
+        except (ZeroDivisionError, ValueError, OverflowError, ModelError) as error:
             raise VerificationError(f"what is claimed of {what} cannot be checked: {error}") from None
+
+    def _proves_holds(self) -> bool:
+        """Whether every Phi, polynomials with remainders, holds the one of its plant on the whole box."""
+        found: dict[Hold, dict[tuple[int, int], Expression]] = {}
+        G, remainders = self.system, self.system.remainders
+        for entry in (x for M in (G.E, G.A, G.B, G.C, G.D) for x in M.flat):
+            own = [p for name, p in entry.parameters.items() if name in remainders]
+            if not own:
+                continue
+            (p, *others), polynomial = own, entry.without(remainders)
+            same = found.setdefault(p.hold, {}).setdefault(p.at, polynomial).terms == polynomial.terms
+            if (
+                others
+                or not same
+                or {m: c for m, c in entry.terms.items() if m not in polynomial.terms} != {((p.name, 1),): 1}
+            ):
+                return False
+        for hold, Phi in found.items():
+            n = len(hold.A)
+            if hold != as_hold(hold.E, hold.A, hold.dt, hold.tol) or hold.dt != G.dt or len(Phi) != n * n:
+                return False
+            bounds = errors(hold, Phi)
+            claimed = {p.at: min(-p.low, p.high) for p in remainders.values() if p.hold == hold}
+            if not all(bounds[at] <= size for at, size in claimed.items()):
+                return False
+        return True
 
     def _proves_level(self) -> bool:
         box = tuple(self.system.parameters.values())
@@ -97,9 +127,12 @@ class BoxCertificate:
         sound = self.level > 0 and len(edges) > pencil.order + 1 and edges[0] > 0 and (np.diff(edges) > 0).all()
         if not sound or not robust.fits(pencil, size, bordered=gain) or not pencil.is_stable_at(pencil.nominal):
             return False
+        if (len(self.degrees) != len(box)) if pencil.off else self.degrees:
+            return False
         if not gain:
-            return follows(robust.stability_pieces(pencil, self.edges, self.bits), robust.excludes_zero, self.script)
-        pieces = robust.gain_pieces(pencil, self.edges, self.bits)
+            pair = robust.stability_pieces(pencil, self.edges, self.bits, self.degrees)
+            return follows(pair, robust.excludes_zero, self.script)
+        pieces = robust.gain_pieces(pencil, self.edges, self.bits, self.degrees)
         start = robust.at_level(pieces, self.level)
         at_rest = pencil.is_below_at_rest(pencil.nominal, rational(self.level))
         return at_rest and follows(start, robust.is_positive, self.script)
@@ -194,6 +227,7 @@ def to_dict(certificate: BoxCertificate) -> dict[str, Any]:
         "system": system_to_dict(c.system),
         "edges": list(c.edges),
         "script": list(c.script),
+        **({"degrees": list(c.degrees)} if c.degrees else {}),
     }
     return sealed(json.loads(_text(data)))
 
@@ -225,6 +259,7 @@ def from_dict(data: Any) -> BoxCertificate:
         bits=data["bits"],
         edges=tuple(float(x) for x in data["edges"]),
         script=tuple(data["script"]),
+        degrees=tuple(data.get("degrees", ())),
     )
     if _text(to_dict(certificate)) != _text(data):
         raise ModelError("the certificate is not as BoxCertificate.save wrote it: something in it was changed")
@@ -233,9 +268,32 @@ def from_dict(data: Any) -> BoxCertificate:
 
 def system_to_dict(G: UncertainSystem) -> dict[str, Any]:
     """An uncertain system as plain data: entries are numbers, or lists of coefficients with powers of parameters."""
-    parameters = [{part: getattr(p, part) for part in PARTS} for p in G.parameters.values()]
-    matrices = {name: [[_entry(x) for x in row] for row in getattr(G, name)] for name in MATRICES}
-    return {"parameters": parameters, **matrices, "dt": G.dt, "u": list(G.u), "y": list(G.y)}
+    data = {"parameters": _box_to_list(G.parameters.values()), **_matrices(G, MATRICES)}
+    data |= {"dt": G.dt, "u": list(G.u), "y": list(G.y)}
+    if G.remainders:
+        holds = sorted({p.hold for p in G.remainders.values()}, key=lambda hold: hold.name)
+        data["holds"] = [
+            {
+                "name": hold.name,
+                **_matrices(hold, ("E", "A")),
+                "dt": hold.dt,
+                "tol": hold.tol,
+                "parameters": _box_to_list(hold.box),
+                "remainders": [
+                    {"name": p.name, "at": list(p.at), "size": p.high} for p in G.remainders.values() if p.hold == hold
+                ],
+            }
+            for hold in holds
+        ]
+    return data
+
+
+def _box_to_list(box: Iterable[Parameter]) -> list[dict[str, Any]]:
+    return [{part: getattr(p, part) for part in PARTS} for p in box]
+
+
+def _matrices(of: Any, names: Sequence[str]) -> dict[str, Any]:
+    return {name: [[_entry(x) for x in row] for row in getattr(of, name)] for name in names}
 
 
 def _entry(x: Expression) -> Any:
@@ -253,16 +311,30 @@ def _number(c: Fraction) -> float | str:
 
 
 def _system_from_dict(data: Mapping[str, Any]) -> UncertainSystem:
-    box = {p["name"]: Parameter(p["name"], *(float(p[part]) for part in PARTS[1:])) for p in data["parameters"]}
-    if not all(p.low <= p.nominal <= p.high and p.low < p.high for p in box.values()):
-        raise ModelError("the certificate is incomplete or damaged: a range without its nominal value")
+    box = _box_from_list(data["parameters"])
     try:
-        E, A, B, C, D = (
-            np.array([[_expression(x, box) for x in row] for row in data[name]], object) for name in MATRICES
-        )
+        for part in data.get("holds", ()):
+            own = _box_from_list(part["parameters"])
+            E, A = (_matrix(part[name], own) for name in ("E", "A"))
+            hold = Hold(part["name"], E, A, float(part["dt"]), float(part["tol"]), tuple(own.values()))
+            for r in part["remainders"]:
+                size, (i, j) = float(r["size"]), r["at"]
+                box[r["name"]] = Remainder(r["name"], 0.0, -size, size, hold, (i, j))
+        E, A, B, C, D = (_matrix(data[name], box) for name in MATRICES)
         return UncertainSystem(E, A, B, C, D, data["dt"], tuple(data["u"]), tuple(data["y"]))
     except (ValueError, TypeError, KeyError, AttributeError, ArithmeticError) as error:
         raise ModelError(f"the certificate is incomplete or damaged: {error}") from None
+
+
+def _box_from_list(data: Any) -> dict[str, Parameter]:
+    box = {p["name"]: Parameter(p["name"], *(float(p[part]) for part in PARTS[1:])) for p in data}
+    if not all(p.low <= p.nominal <= p.high and p.low < p.high for p in box.values()):
+        raise ModelError("the certificate is incomplete or damaged: a range without its nominal value")
+    return box
+
+
+def _matrix(data: Any, box: Mapping[str, Parameter]) -> np.ndarray:
+    return np.array([[_expression(x, box) for x in row] for row in data], object)
 
 
 def _expression(x: Any, box: Mapping[str, Parameter]) -> Expression:

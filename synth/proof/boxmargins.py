@@ -37,9 +37,10 @@ from synth.proof.pencils import Pencil
 from synth.proof.stability import stability_margin
 from synth.proof.worstcase import WorstCase
 from synth.proof.worstgain import worst_gain
+from synth.systems.expressions import eye, product, zeros
 from synth.systems.parameters import Parameter, ureal
 from synth.systems.statespace import StateSpace, system
-from synth.systems.uncertain import UncertainSystem, as_uncertain, eye, product, series, zeros
+from synth.systems.uncertain import UncertainSystem, as_uncertain, series
 
 ROUNDED = 1e-14  # relative, of what is computed from a bound
 ROUNDS = 3  # of scalings

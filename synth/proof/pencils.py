@@ -20,7 +20,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
 from typing import Any
@@ -28,7 +28,8 @@ from typing import Any
 import numpy as np
 from flint import acb, acb_mat, arb, arb_mat, fmpq, fmpq_mat, fmpq_poly
 
-from synth.systems.parameters import Parameter
+from synth.errors import ModelError
+from synth.systems.parameters import Expression, Parameter, Remainder
 from synth.systems.uncertain import UncertainSystem
 
 Exponents = tuple[int, ...]
@@ -47,21 +48,26 @@ class Pencil:
     system: Mapping[Exponents, fmpq_mat]  # (n + nz, n + nw) coefficients of [A, B; C, D]
     sizes: tuple[int, int, int]  # n, nw, nz
     discrete: bool
+    off: Mapping[tuple[int, int], float] = field(default_factory=dict)  # what entries of [A, B; C, D] may be off
 
     @classmethod
     def of(cls, G: UncertainSystem, box: Sequence[Parameter], scale: Fraction = Fraction(1)) -> Pencil:
         """Of a loop and the box of its parameters, made larger about the nominal ones by `scale`."""
         names = [p.name for p in box]
         nominal = [Fraction(p.nominal) for p in box]
-        ends = (
+        low, high = (
             [_rational(x + scale * (Fraction(end) - x)) for x, end in zip(nominal, values, strict=True)]
             for values in ([p.low for p in box], [p.high for p in box])
         )
-        low, high = ends
         S = np.block([[G.A, G.B], [G.C, G.D]])
         parts = _by_monomial(G.E, names), _by_monomial(S, names)
         sizes = (G.n, G.nu, G.ny)
-        return cls(tuple(names), tuple(low), tuple(high), tuple(map(_rational, nominal)), *parts, sizes, G.discrete)
+        ends = dict(zip(names, zip(low, high, strict=True), strict=True))
+        off = {at: size for at, entry in np.ndenumerate(S) if (size := _off(entry, ends))}
+        if any(_off(entry, ends) for entry in G.E.flat):
+            raise ModelError("E has the remainder of a hold equivalent, which belongs to A; connect systems")
+        return cls(tuple(names), tuple(low), tuple(high), tuple(map(_rational, nominal)), *parts, sizes, G.discrete,
+                   off)  # fmt: skip
 
     @cached_property
     def order(self) -> int:
@@ -137,7 +143,10 @@ class Pencil:
         ZeroDivisionError : the point could be a pole.
         """
         E, S = self.at(point)
-        return self._response(arb_mat(E), arb_mat(S), w)
+        balls = arb_mat(S)
+        for at, size in self.off.items():
+            balls[at] = balls[at] + arb(0, size)
+        return self._response(arb_mat(E), balls, w)
 
     def _response(self, E: arb_mat, S: arb_mat, w: fmpq) -> tuple[acb, acb_mat]:
         n, nw, nz = self.sizes
@@ -186,8 +195,8 @@ def is_hurwitz(coefficients: Sequence[fmpq]) -> bool:
     return True
 
 
-def along(values: np.ndarray, axis: int, Q: fmpq_mat) -> np.ndarray:
-    """An array of balls multiplied by an exact matrix along one of its axes."""
+def along(values: np.ndarray, axis: int, Q: fmpq_mat | arb_mat) -> np.ndarray:
+    """An array of balls multiplied by a matrix along one of its axes."""
     moved = np.moveaxis(values, axis, 0)
     X = arb_mat(len(moved), moved[0].size, moved.ravel().tolist())
     Y = np.array((arb_mat(Q) * X).entries(), object)
@@ -207,6 +216,10 @@ def on_unit(degree: int) -> list[tuple[fmpq, fmpq]]:
     return [(1 - fmpq(i, degree), fmpq(i, degree)) for i in range(degree + 1)] if degree else [(fmpq(1), fmpq(0))]
 
 
+def _fraction(x: fmpq) -> Any:
+    return Fraction(int(x.p), int(x.q))
+
+
 def _rational(x: Fraction) -> fmpq:
     return fmpq(x.numerator, x.denominator)
 
@@ -222,12 +235,32 @@ def _by_monomial(M: np.ndarray, names: Sequence[str]) -> dict[Exponents, fmpq_ma
     at = {name: k for k, name in enumerate(names)}
     for (i, j), entry in np.ndenumerate(M):
         for monomial, c in entry.terms.items():
+            if any(isinstance(entry.parameters[name], Remainder) for name, _ in monomial):  # see `_off`
+                continue
             exponents = [0] * len(names)
             for name, k in monomial:
                 exponents[at[name]] = k
             part = found.setdefault(tuple(exponents), fmpq_mat(*M.shape))
             part[i, j] = _rational(c)
     return found
+
+
+def _off(entry: Expression, box: Mapping[str, tuple[fmpq, fmpq]]) -> float:
+    """A bound of the terms that have remainders, over the box.
+
+    Raises
+    ------
+    ModelError : a term has a name that is neither in the box nor a remainder, or the box is wider than a hold's.
+    """
+    held = {name: p for name, p in entry.parameters.items() if isinstance(p, Remainder)}
+    ends = {**{name: (rational(p.low), rational(p.high)) for name, p in held.items()}, **box}
+    for hold in {p.hold for p in held.values()}:
+        hold.check("the range", {n: (_fraction(a), _fraction(b)) for n, (a, b) in box.items()})
+    total = fmpq(0)
+    for monomial, c in entry.terms.items():
+        if any(name in held for name, _ in monomial):
+            total += math.prod((max(abs(x) for x in ends[name]) ** k for name, k in monomial), start=abs(_rational(c)))
+    return float(np.nextafter(float(arb(total).upper()), np.inf)) if total else 0.0
 
 
 def _valued(parts: Mapping[Exponents, fmpq_mat], point: Point, p: int, q: int) -> fmpq_mat:

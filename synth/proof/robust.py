@@ -26,11 +26,12 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from flint import acb, acb_mat, arb, ctx, fmpq, fmpq_mat
 
+from synth.proof import reduced
 from synth.proof.boxes import HIGHEST, ROUNDING, Boxes
 from synth.proof.pencils import Pencil, along, bernstein_of, on_unit, rational
 
@@ -50,42 +51,61 @@ class Pieces(NamedTuple):
 
 def size_of_gain(pencil: Pencil) -> int:
     """How many coefficients a box of the polynomial of the gain has."""
+    if pencil.off:
+        return reduced.SIZE if reduced.is_within_reach(pencil, bordered=True) else 10**9
     return (pencil.order + 1) * math.prod(2 * r + 1 for r in pencil.degrees(bordered=True))
 
 
 def size_of_stability(pencil: Pencil) -> int:
     """How many coefficients a box of the pair of the stability has."""
+    if pencil.off:
+        return reduced.SIZE
     return 2 * ((pencil.order + 1) // 2 + 1) * math.prod(r + 1 for r in pencil.degrees(bordered=False))
 
 
 def fits(pencil: Pencil, size: int, *, bordered: bool) -> bool:
     """Whether a polynomial can be handled."""
+    if pencil.off:
+        return size <= MOST_COEFFICIENTS
     highest = max((pencil.order, *(2 * r for r in pencil.degrees(bordered=bordered))))
     return size <= MOST_COEFFICIENTS and highest <= HIGHEST
 
 
-def gain_pieces(pencil: Pencil, edges: Sequence[float], bits: int) -> Pieces:
+def degrees_for(pencil: Pencil, edges: Sequence[float], *, bordered: bool) -> tuple[int, ...]:
+    """Degrees of interpolants in the parameters, of loops with hold equivalents; none of others, which need none."""
+    return reduced.degrees_for(pencil, edges, bordered=bordered) if pencil.off else ()
+
+
+def gain_pieces(pencil: Pencil, edges: Sequence[float], bits: int, degrees: Sequence[int] = ()) -> Pieces:
     """The polynomials h_0, h_1, ... with h = h_0 + g^2 h_1 + g^4 h_2 + ... on every piece between the edges (rad/s).
+
+    `degrees` are those of `degrees_for`.
 
     Raises
     ------
     ZeroDivisionError : a node could be a pole; other edges help.
     """
     with ctx.workprec(bits):
-        n, r = pencil.order, pencil.degrees(bordered=True)
+        n, r = pencil.order, degrees if pencil.off else pencil.degrees(bordered=True)
         coarse, fine = _nodes(edges, n // 2 + 1), _nodes(edges, n + 1)
-        real, imaginary = _parts(pencil.sampled(coarse, r, bordered=True), coarse)
+        sampled = reduced.sampled if pencil.off else Pencil.sampled
+        real, imaginary = _parts(sampled(pencil, coarse, r, bordered=True), coarse)
         up = fmpq_mat(len(fine), len(coarse), _powers([w * w for w in fine], len(coarse)))
         up = up * fmpq_mat(len(coarse), len(coarse), _powers([w * w for w in coarse], len(coarse))).inv()
-        finer = [bernstein_of(on_unit(2 * k), k) * bernstein_of(on_unit(k), k).inv() for k in r]
+        if pencil.off:
+            finer: list[Any] = [reduced.onto(k, [b for _, b in on_unit(2 * k)]) for k in r]
+        else:
+            finer = [bernstein_of(on_unit(2 * k), k) * bernstein_of(on_unit(k), k).inv() for k in r]
         for axis, Q in enumerate([*finer, up]):
             real, imaginary = along(real, axis + 1, Q), along(imaginary, axis + 1, Q)
-        h = _gain_values(real, imaginary * np.array([arb(w) for w in fine], object), pencil.sizes[1:])
+        imaginary = imaginary * np.array([arb(w) for w in fine], object)
+        h = (_gain_of_minors if pencil.off else _gain_values)(real, imaginary, pencil.sizes[1:])
         exponent = _unit(h)
         h = h * np.array([arb(2) ** (2 * k * exponent) for k in range(len(h))]).reshape(-1, *[1] * (h.ndim - 1))
         for axis, k in enumerate(r):
             h = along(h, axis + 1, bernstein_of(on_unit(2 * k), 2 * k).inv())
-        return _on_pieces(h, [w * w for w in fine], edges, n)._replace(exponent=exponent)
+        off = _off_gain(pencil, edges, r, exponent) if pencil.off else None
+        return _on_pieces(h, [w * w for w in fine], edges, n, off=off)._replace(exponent=exponent)
 
 
 def at_level(pieces: Pieces, level: float) -> Boxes:
@@ -100,21 +120,24 @@ def at_level(pieces: Pieces, level: float) -> Boxes:
     return _first(h[:, None], errors[:, None] * (1 + 1e-9) + UNDERFLOW)
 
 
-def stability_pieces(pencil: Pencil, edges: Sequence[float], bits: int) -> Boxes:
+def stability_pieces(pencil: Pencil, edges: Sequence[float], bits: int, degrees: Sequence[int] = ()) -> Boxes:
     """The pair (R, u I), or the one that is its equal at infinity, on every piece between the edges (rad/s)."""
     with ctx.workprec(bits):
-        n, r = pencil.order, pencil.degrees(bordered=False)
+        n, r = pencil.order, degrees if pencil.off else pencil.degrees(bordered=False)
         degree = (n + 1) // 2
         nodes = _nodes(edges, degree + 1)
-        R, I = _parts(pencil.sampled(nodes, r, bordered=False), nodes)
+        R, I = _parts((reduced.sampled if pencil.off else Pencil.sampled)(pencil, nodes, r, bordered=False), nodes)
         u = [w * w for w in nodes]
         pair = np.concatenate([R, I * np.array([arb(x) for x in u], object)])
         last = np.concatenate([R, I]) if n % 2 == 0 else pair
         found = []
+        off = _off_pair(pencil, edges, r) if pencil.off else None
         for values in (pair, last):
             for axis, k in enumerate(r):
+                if pencil.off:
+                    values = along(values, axis + 1, reduced.onto(k, [b for _, b in on_unit(k)]))
                 values = along(values, axis + 1, bernstein_of(on_unit(k), k).inv())
-            found.append(_on_pieces(values, u, edges, degree, apart=True))
+            found.append(_on_pieces(values, u, edges, degree, apart=True, off=off))
         (V, e, _), (W, f, _) = found
         return _first(np.concatenate([V[:-1], W[-1:]]), np.concatenate([e[:-1], f[-1:]]))
 
@@ -190,20 +213,65 @@ def _gain_values(real: np.ndarray, imaginary: np.ndarray, channels: tuple[int, i
     return found
 
 
+def _gain_of_minors(real: np.ndarray, imaginary: np.ndarray, channels: tuple[int, int]) -> np.ndarray:
+    """The same from the minors of `reduced`."""
+    small, at, found = min(channels), 0, []
+    for j in range(small + 1):
+        count = math.comb(channels[0], j) * math.comb(channels[1], j)
+        part = slice(at, at + count)
+        found.append((-1) ** j * (real[part] ** 2 + imaginary[part] ** 2).sum(axis=0))
+        at += count
+    return np.array(found[::-1], object)
+
+
+def _off_gain(pencil: Pencil, edges: Sequence[float], degrees: Sequence[int], exponent: int) -> np.ndarray:
+    """What h_0, h_1, ... on the pieces are off, (pieces, components)."""
+    squared = reduced.off(pencil, edges, degrees, bordered=True).squared
+    _, nw, nz = pencil.sizes
+    small, at, found = min(nw, nz), 0, []
+    for j in range(small + 1):
+        count = math.comb(nw, j) * math.comb(nz, j)
+        found.append(squared[at : at + count].sum(axis=0) * 2.0 ** (2 * (small - j) * exponent))
+        at += count
+    return np.array(found[::-1]).T * (_largest(edges) ** pencil.order)[:, None] * reduced.ROOM
+
+
+def _off_pair(pencil: Pencil, edges: Sequence[float], degrees: Sequence[int]) -> np.ndarray:
+    """What R, and u I or I, on the pieces are off, (pieces, 2)."""
+    error, n = reduced.off(pencil, edges, degrees, bordered=False).error[0], pencil.order
+    size = error * _largest(edges) ** ((n + 1) // 2)
+    other = np.append(size[:-1] * np.maximum(edges, 1.0), size[-1] * max(1.0, 1 / edges[-1]))
+    return np.array([size, other]).T * reduced.ROOM
+
+
+def _ends(edges: Sequence[float]) -> list[tuple[fmpq, fmpq]]:
+    """Ends of the pieces of u, points (u, 1) up to a factor."""
+    w = [rational(x) for x in edges]
+    return [(fmpq(0), 1 / w[0]), *((x, 1 / x) for x in w), (w[-1], fmpq(0))]
+
+
+def _largest(edges: Sequence[float]) -> np.ndarray:
+    """The largest sum of both coordinates of a point of every piece."""
+    sums = np.array([float(x + y) for x, y in _ends(edges)])
+    return np.maximum(sums[1:], sums[:-1]) * reduced.ROOM
+
+
 def _on_pieces(
-    values: np.ndarray, u: Sequence[fmpq], edges: Sequence[float], degree: int, *, apart: bool = False
-) -> Pieces:
+    values: np.ndarray, u: Sequence[fmpq], edges: Sequence[float], degree: int, *, apart: bool = False,
+    off: np.ndarray | None = None,
+) -> Pieces:  # fmt: skip
     """Values at u, the last axis, as coefficients on all pieces, then the first axis but one; scaled to about one.
 
-    `apart` says whether components may be scaled one by one.
+    `apart` says whether components may be scaled one by one, `off` what they are off, (pieces, components).
     """
-    w = [rational(x) for x in edges]
-    ends = [(fmpq(0), 1 / w[0]), *((x, 1 / x) for x in w), (w[-1], fmpq(0))]
+    ends = _ends(edges)
     coefficients, errors = [], []
-    for a, b in itertools.pairwise(ends):
+    for piece, (a, b) in enumerate(itertools.pairwise(ends)):
         det = a[0] * b[1] - a[1] * b[0]
         nodes = [((x * b[1] - b[0]) / det, (a[0] - x * a[1]) / det) for x in u]  # (u, 1) = alpha a + beta b
         on = along(values, values.ndim - 1, bernstein_of(nodes, degree).inv())
+        if off is not None:
+            on = on + np.array([arb(0, x) for x in off[piece]], object).reshape(-1, *[1] * (on.ndim - 1))
         middle, radius = _doubles(on, apart=apart)
         size = np.abs(middle).reshape(len(middle), -1).max(axis=1)
         coefficients.append(np.moveaxis(middle, -1, 1))

@@ -75,7 +75,8 @@ def stability_margin(
     pencil, N = Pencil.of(ask.G, ask.box), search.Numbers(ask.G, ask.box, growing)
     if not pencil.is_stable_at(pencil.nominal):
         return _margin(ask, N, np.zeros(len(ask.box)), None, "the loop is not stable at the nominal parameters")
-    size, worst = robust.size_of_stability(pencil), _nearest(pencil, N)
+    limit = _limit(ask, N)
+    size, worst = robust.size_of_stability(pencil), _nearest(pencil, N, limit)
     if not robust.fits(pencil, size, bordered=False):
         return _margin(ask, N, worst, None, too_large(pencil, size, bordered=False))
     if worst is not None and N.size(worst) < search.NOWHERE:
@@ -83,16 +84,16 @@ def stability_margin(
     most, distance, outcome, proof = ask.most(size), ask.tol, None, None
     few = most // FEW
     for _ in range(TRIES):
-        found = search.FARTHEST if worst is None else N.size(worst)
+        found = min(search.FARTHEST, limit) if worst is None else N.size(worst)
         level = found if worst is None and distance == ask.tol else found / (1 + distance)
         grown, scale = (_grown(ask, growing, level), Fraction(1)) if growing else (ask.box, Fraction(level))
         larger = Pencil.of(ask.G, grown, scale)
-        edges, bits, start = accurate(N, larger, robust.stability_pieces)
+        frame, start = accurate(N, larger, robust.stability_pieces)
         outcome = explored(start, robust.excludes_zero, few, lambda _: None)
         if outcome.proved:
-            proof = Proof(level, bits, edges, outcome)
+            proof = Proof(level, frame, outcome)
             break
-        nearer = _nearest(pencil, N, doubtful(outcome, N, edges, level)[0])
+        nearer = _nearest(pencil, N, limit, doubtful(outcome, N, frame.edges, level)[0])
         if nearer is not None and N.size(nearer) < found * (1 - NEWS * ask.tol):
             worst, few = nearer, most // FEW
         elif few < most:  # nothing worse is in the boxes that are left: more of them may tell
@@ -101,16 +102,32 @@ def stability_margin(
             distance *= WIDER
         if distance > WIDEST:
             break
-    return _margin(ask, N, worst, proof, remark("a margin", most, outcome, proof, wide=distance > ask.tol))
+    note = remark("a margin", most, outcome, proof, wide=distance > ask.tol)
+    if worst is None and limit < search.FARTHEST and not note:
+        note = f"hold equivalents were made for {limit:.9g} times the box; give the plant wider ranges before c2d"
+    return _margin(ask, N, worst, proof, note)
 
 
 robstab = stability_margin  # MATLAB's name
 
 
-def _nearest(pencil: Pencil, N: search.Numbers, *starts: Any) -> np.ndarray | None:
+def _limit(ask: Asked, N: search.Numbers) -> float:
+    """How many times as large the box may be made for what stands for hold equivalents."""
+    holds = {(q.name, q.low, q.high) for r in ask.G.remainders.values() for q in r.hold.box}
+    limit = Fraction(10) ** 6
+    for p, grows in zip(ask.box, N.growing, strict=True):
+        for _, low, high in (q for q in holds if grows and q[0] == p.name):
+            for end, farthest in ((p.low, low), (p.high, high)):
+                room, own = abs(Fraction(farthest) - Fraction(p.nominal)), abs(Fraction(end) - Fraction(p.nominal))
+                limit = min(limit, room / own) if own else limit
+    found = float(limit)
+    return found if Fraction(found) <= limit else float(np.nextafter(found, 0))
+
+
+def _nearest(pencil: Pencil, N: search.Numbers, limit: float, *starts: Any) -> np.ndarray | None:
     """An unstable point, exactly so, in a box as small as was found; eigenvalues may be wrong, so it is moved on."""
     t = search.nearest_instability(N, *starts)
-    if t is None:
+    if t is None or N.size(t) > limit:
         return None
     stable = pencil.is_stable_at(exact_point(N, t))
     for k in range(1, 22):

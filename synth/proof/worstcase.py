@@ -89,15 +89,15 @@ def worst_of_box(ask: Asked) -> WorstCase:
     size = robust.size_of_gain(pencil)
     if not robust.fits(pencil, size, bordered=True):
         return _gain(ask, peaks[0], None, too_large(pencil, size, bordered=True))
-    edges, bits, pieces = accurate(N, pencil, robust.gain_pieces)
+    frame, pieces = accurate(N, pencil, robust.gain_pieces)
     most, distance, outcome, proof = ask.most(size), ask.tol, None, None
     for _ in range(TRIES):
         level = _above(peaks[0].gain, distance)
         outcome = explored(robust.at_level(pieces, level), robust.is_positive, most, robust.negative_corner)
         if outcome.proved:
-            proof = Proof(level, bits, edges, outcome)
+            proof = Proof(level, frame, outcome)
             break
-        unstable, higher = _climbed(pencil, N, *doubtful(outcome, N, edges))
+        unstable, higher = _climbed(pencil, N, *doubtful(outcome, N, frame.edges))
         if unstable is not None:
             return _unstable(ask, N, unstable)
         if higher[0].gain > peaks[0].gain * (1 + NEWS * ask.tol):
@@ -109,12 +109,19 @@ def worst_of_box(ask: Asked) -> WorstCase:
     return _gain(ask, peaks[0], proof, remark("an upper bound", most, outcome, proof, wide=distance > ask.tol))
 
 
+class Frame(NamedTuple):
+    """What the polynomials of a proof are made with."""
+
+    edges: list[float]  # of the pieces of frequency
+    bits: int
+    degrees: tuple[int, ...]  # of interpolants, see `robust.degrees_for`
+
+
 class Proof(NamedTuple):
     """A level that was proved."""
 
     level: float
-    bits: int
-    edges: list[float]
+    frame: Frame
     outcome: Outcome
 
 
@@ -164,17 +171,20 @@ def exact_point(N: search.Numbers, t: np.ndarray) -> list[fmpq]:
     return [rational(x) for x in N.values(t)]
 
 
-def accurate(N: search.Numbers, pencil: Pencil, make: Callable) -> Any:
-    """Edges of pieces of frequency, precision, and polynomials whose balls are small beside rounding to doubles."""
+def accurate(N: search.Numbers, pencil: Pencil, make: Callable) -> tuple[Frame, Any]:
+    """Polynomials whose balls are small beside rounding to doubles, or beside what interpolants are off."""
     found: Any = None
     for shift in SHIFTED:
         edges = _edges(N, pencil.order + 2, shift)
+        degrees = robust.degrees_for(pencil, edges, bordered=make is robust.gain_pieces)
         for bits in BITS:
             try:
-                made = make(pencil, edges, bits)
+                made = make(pencil, edges, bits, degrees)
             except ZeroDivisionError:
                 continue
-            found = edges, bits, made
+            found = Frame(edges, bits, degrees), made
+            if pencil.off:
+                return found
             size = np.abs(made.coefficients).reshape(*made.errors.shape, -1).max(axis=2)
             if (made.errors <= 2 * robust.MIDPOINT * size).all():
                 return found
@@ -265,7 +275,7 @@ def _gain(ask: Asked, peak: search.Peak, proof: Proof | None, note: str) -> Wors
     H, unit = G.at(point), 2.0 ** round(np.log2(peak.gain)) if peak.gain > NOTHING else 1.0
     norm, omega = hinfnorm(replace(H, C=H.C / unit, D=H.D / unit))
     tries = [peak.w, float(np.tan(omega * G.dt / 2)) if G.discrete else omega]
-    bits = proof.bits if proof else BITS[0]
+    bits = proof.frame.bits if proof else BITS[0]
     lower, w = max((float(gain_at(pencil, point, w, bits).lower()) * (1 - SAFE), w) for w in tries if np.isfinite(w))
     claimed = (lower, point, w) if lower > 0 else (0.0, {}, 0.0)
     certificate = proof and certified(ask, GAIN, proof, *claimed)
@@ -281,6 +291,6 @@ def certified(
 ) -> BoxCertificate:
     """What was proved, with what proves it again."""
     return BoxCertificate(
-        quantity=quantity, level=proof.level, reached=reached, point=point, w=w, system=ask.G, bits=proof.bits,
-        edges=tuple(proof.edges), script=tuple(proof.outcome.script),
+        quantity=quantity, level=proof.level, reached=reached, point=point, w=w, system=ask.G, bits=proof.frame.bits,
+        edges=tuple(proof.frame.edges), degrees=proof.frame.degrees, script=tuple(proof.outcome.script),
     )  # fmt: skip

@@ -10,8 +10,8 @@ There is no division by a parameter: 1/J is no polynomial. The equation J w' = t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Container, Iterator, Mapping
+from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
 
@@ -39,6 +39,36 @@ class Parameter:
     def range(self) -> tuple[float, float]:
         """Lowest and highest value."""
         return self.low, self.high
+
+
+@dataclass(frozen=True)
+class Hold:
+    """A plant E(p) v = A(p) x on a box, of whose Phi(p) = int_0^dt exp(E^-1 A s) ds sampled ones have polynomials."""
+
+    name: str  # made of all that follows
+    E: np.ndarray = field(compare=False, repr=False)  # (n, n) expressions
+    A: np.ndarray = field(compare=False, repr=False)
+    dt: float  # s
+    tol: float  # that was aimed at
+    box: tuple[Parameter, ...]  # of the parameters of E and A
+
+    def check(self, what: str, ranges: Mapping[str, tuple[float, float]]) -> None:
+        """Raise ModelError where ranges lie outside the box, on which alone Phi is bounded."""
+        for q in self.box:
+            low, high = ranges.get(q.name, (q.nominal, q.nominal))
+            if not q.low <= low <= high <= q.high:
+                raise ModelError(
+                    f"{what} of {q.name!r} is [{float(low):.17g}, {float(high):.17g}]; c2d made the hold for "
+                    f"[{q.low:.17g}, {q.high:.17g}]: give the plant the wider range before c2d"
+                )
+
+
+@dataclass(frozen=True)
+class Remainder(Parameter):
+    """What an entry of Phi is off its polynomial, another number at every point of the box; its range is proved."""
+
+    hold: Hold
+    at: tuple[int, int]  # row and column
 
 
 class Expression:
@@ -74,6 +104,22 @@ class Expression:
         """Its value."""
         return sum((c * math.prod((values[n] ** k for n, k in m), start=Fraction(1)) for m, c in self.terms.items()),
                    start=Fraction(0))  # fmt: skip
+
+    def without(self, names: Container[str]) -> Expression:
+        """The terms that have none of these names."""
+        terms = {m: c for m, c in self.terms.items() if not any(name in names for name, _ in m)}
+        return Expression(terms, self.parameters)
+
+    def moved(self, p: Parameter, origin: Fraction) -> Expression:
+        """The same polynomial with p + origin in the place of p."""
+        terms: dict[Monomial, Fraction] = {}
+        for monomial, c in self.terms.items():
+            others = tuple(part for part in monomial if part[0] != p.name)
+            degree = dict(monomial).get(p.name, 0)
+            for k in range(degree + 1):
+                m = tuple(sorted((*others, (p.name, k)))) if k else others
+                terms[m] = terms.get(m, Fraction(0)) + c * math.comb(degree, k) * origin ** (degree - k)
+        return Expression(terms, self.parameters)
 
     def __repr__(self) -> str:
         def one(monomial: Monomial, c: Fraction) -> str:

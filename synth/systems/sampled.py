@@ -17,23 +17,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from fractions import Fraction
 from typing import Any, overload
 
 import numpy as np
-import scipy.linalg as sla
 
-from synth.checks import as_array, as_choice, as_period, numerical, timebase_told
+from synth.checks import as_array, as_choice, as_number, as_period, numerical, timebase_told
 from synth.errors import ModelError
 from synth.systems.delays import as_late
 from synth.systems.exponential import expm
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.holds import HOLDS, bilinear_rate, held, waiting
 from synth.systems.matched import matched
-from synth.systems.parameters import as_expression
 from synth.systems.realization import Matrices, rescaled, state_scales
 from synth.systems.statespace import StateSpace, as_system
-from synth.systems.uncertain import UncertainSystem, algebraic, eye, zeros
+from synth.systems.uncertain import UncertainSystem
+from synth.systems.uncertainsampling import sampled_uncertain
 
 ILL_CONDITIONED = 1e14  # of rate I - A, balanced: the rate is a pole to rounding
 APART = 0.25  # relative distance of a rate from every pole
@@ -43,14 +41,28 @@ INDEPENDENT = 1e-2  # smallest singular value of D12, its columns of length one,
 
 
 @overload
-def c2d(G: UncertainSystem, dt: float, method: str = "zoh") -> UncertainSystem: ...
+def c2d(G: UncertainSystem, dt: float, method: str = "zoh", *, tol: float = 1e-9) -> UncertainSystem: ...
 @overload
 def c2d(
-    G: Any, dt: float, method: str = "zoh", *, prewarp: float | None = None, delay: Any = 0.0, output_delay: Any = 0.0
+    G: Any,
+    dt: float,
+    method: str = "zoh",
+    *,
+    prewarp: float | None = None,
+    delay: Any = 0.0,
+    output_delay: Any = 0.0,
+    tol: float = 1e-9,
 ) -> StateSpace: ...
 @numerical
 def c2d(
-    G: Any, dt: float, method: str = "zoh", *, prewarp: float | None = None, delay: Any = 0.0, output_delay: Any = 0.0
+    G: Any,
+    dt: float,
+    method: str = "zoh",
+    *,
+    prewarp: float | None = None,
+    delay: Any = 0.0,
+    output_delay: Any = 0.0,
+    tol: float = 1e-9,
 ) -> Any:
     """Continuous to discrete, with delays of any length.
 
@@ -65,7 +77,8 @@ def c2d(
     ----------
     G : continuous system, in any form that `system` takes, or an uncertain one, whose `"tustin"` and `"midpoint"` are
         exact in the parameters; so is its hold equivalent where the exponential series ends, as of rigid bodies, and
-        where parameters are in B, C and D alone
+        where parameters are in B, C and D alone. Others become polynomials with `remainders`: each entry is off by a
+        proved amount at most on the whole box, which every connection keeps and every proof takes in
     dt : sampling time in seconds, positive
     method : one of these six; of uncertain systems "zoh", "tustin" or "midpoint". The last is E (x+ - x) =
         dt (A (x+ + x)/2 + B u) with u held: the hold equivalent itself of double integrators, such as the axes of a
@@ -75,13 +88,15 @@ def c2d(
     delay : s, () or (m,), by which the inputs act later; any with the exact methods, whole periods with the others. The
         states of whole samples come before those of G
     output_delay : s, () or (p,), by which the outputs come later, likewise; their states come last
+    tol : of an uncertain hold equivalent that is no polynomial, how far the polynomial may be off, relative to dt in
+        coordinates that balance the plant
 
     Raises
     ------
     ModelError : G is no system or is discrete already, dt is not positive, the rate of the map (2/dt) is a pole,
-        algebraic states where the midpoint rule has none, or the hold equivalent of an uncertain system is no
-        polynomial in its parameters; "impulse" with D, "matched" with several inputs or outputs, a delay that is
-        negative or beyond 5000 samples.
+        algebraic states where the midpoint rule or the hold of an uncertain system has none, or a box too wide
+        (sampling too slow) for polynomials within `tol`; "impulse" with D, "matched" with
+        several inputs or outputs, a delay that is negative or beyond 5000 samples.
 
     References: Franklin, Powell and Workman (1998), Digital Control of Dynamic Systems, chapters 4 and 6.
     """
@@ -89,11 +104,14 @@ def c2d(
     if G.discrete:
         raise ModelError(f"the system G is already discrete ({timebase_told(G.dt)}); c2d takes a continuous one")
     dt = as_period(dt)
+    tol = as_number("tol", tol, "a relative error from 1e-12 to 0.01", least=1e-12)
+    if tol > 0.01:
+        raise ModelError(f"tol is {tol:g}; pass a relative error from 1e-12 to 0.01")
     if isinstance(G, UncertainSystem):
         if prewarp is not None or np.any(as_array("delay", delay)) or np.any(as_array("output_delay", output_delay)):
             raise ModelError("prewarp, delay and output_delay are of certain systems; sample G.at(values) with them")
         as_choice("method", method, ("zoh", "tustin", "midpoint"))
-        return {"zoh": _uncertain_hold, "tustin": _uncertain_tustin, "midpoint": _uncertain_midpoint}[method](G, dt)
+        return sampled_uncertain(G, dt, method, tol)
     as_choice("method", method, (*HOLDS, "tustin", "midpoint", "matched"))
     rate = bilinear_rate(method, dt, prewarp)
     late = as_late("delay", delay, G.nu, dt), as_late("output_delay", output_delay, G.ny, dt)
@@ -119,91 +137,6 @@ def _mapped(G: StateSpace, dt: float, method: str, rate: float) -> StateSpace:
             f"dt is {dt:g} s and {'2/dt' if rate == 2 / dt else 'the rate'} = {rate:g} rad/s is a pole of the system, "
             "which this method sends to infinity; pass another dt, or method='zoh'"
         ) from None
-
-
-def _uncertain_hold(G: UncertainSystem, dt: float) -> UncertainSystem:
-    """The hold equivalent x+ = x + dt v1 + dt^2/2 v2 + ..., E v1 = A x + B u, E v2 = A v1, ..., where v ends.
-
-    The v are algebraic states, so that nothing is divided by a parameter; zeros of E and A say which there are.
-    """
-    if not algebraic(G.E).any():
-        if not any(entry.parameters for M in (G.E, G.A) for entry in M.flat):
-            F = G.nominal.A
-            exponential = sla.expm(dt * np.block([[F, np.eye(G.n)], [np.zeros((G.n, 2 * G.n))]]))
-            E = np.array([[entry.nominal for entry in row] for row in G.E])
-            held = exponential[: G.n, G.n :] @ np.linalg.inv(E) @ G.B
-            return UncertainSystem(None, exponential[: G.n, : G.n], held, G.C, G.D, dt, G.u, G.y)
-        if (chain := _derivatives(G)) is not None:
-            return _taylor(G, dt, chain)
-    raise ModelError(
-        "method is 'zoh', and the hold equivalent of this uncertain system is no polynomial in its parameters: its "
-        "exponential series does not end; pass method='tustin' or 'midpoint', which are exact maps of their own, or "
-        "sample G.at(values)"
-    )
-
-
-def _derivatives(G: UncertainSystem) -> list[np.ndarray] | None:
-    """Which states have a derivative of order 1, 2, ... under a held input; None where they do not end.
-
-    By the zeros of E and A: states have none if their rows of A see only states without one of the order before, and
-    their rows of E one another.
-    """
-    E, A = (np.array([[not entry.is_zero for entry in row] for row in M], bool).reshape(M.shape) for M in (G.E, G.A))
-    chain = [np.ones(G.n, bool)]
-    while chain[-1].any():
-        if len(chain) > G.n + 1:
-            return None
-        moving = A[:, chain[-1]].any(axis=1)
-        for _ in range(G.n):
-            moving = moving | np.any(E[:, moving], axis=1)
-        chain.append(np.asarray(moving, bool))
-    return chain[:-1]
-
-
-def _taylor(G: UncertainSystem, dt: float, chain: list[np.ndarray]) -> UncertainSystem:
-    """The series with the derivatives of `chain` as algebraic states."""
-    parts = [np.flatnonzero(moving) for moving in chain]
-    starts = np.cumsum([G.n, *(len(part) for part in parts)])
-    n, x = int(starts[-1]), range(G.n)
-    E, A, B, C = zeros(n, n), zeros(n, n), zeros(n, G.nu), zeros(G.ny, n)
-    E[np.ix_(x, x)] = A[np.ix_(x, x)] = eye(G.n)
-    C[:, x] = G.C
-    before, factor = np.arange(G.n), Fraction(1)
-    for k, part in enumerate(parts):
-        own, factor = range(int(starts[k]), int(starts[k + 1])), factor * Fraction(dt) / (k + 1)
-        A[part, own] = [as_expression("dt", factor)] * len(part)
-        A[np.ix_(own, own)] = -G.E[np.ix_(part, part)]
-        source = range(G.n) if k == 0 else range(int(starts[k - 1]), int(starts[k]))
-        A[np.ix_(own, source)] = G.A[np.ix_(part, before)]
-        before = part
-    B[starts[0] : starts[1]] = G.B
-    return UncertainSystem(E, A, B, C, G.D, dt, G.u, G.y)
-
-
-def _uncertain_tustin(G: UncertainSystem, dt: float) -> UncertainSystem:
-    """Tustin's map without an inverse: (2/dt) E (q - x) = A (q + x) + B u with x+ = q, an algebraic state."""
-    fixed = algebraic(G.E)
-    E, A = G.E * (2 / Fraction(dt)), G.A
-    x, a = np.flatnonzero(~fixed), np.flatnonzero(fixed)
-    k, n = len(x), G.n + len(x)
-    first, held, own = range(k), range(k, 2 * k), range(2 * k, n)
-    Ed, Ad, Bd, Cd = zeros(n, n), zeros(n, n), zeros(n, G.nu), zeros(G.ny, n)
-    Ed[np.ix_(first, first)] = Ad[np.ix_(first, held)] = eye(k)
-    Ad[np.ix_(held, first)], Ad[np.ix_(held, held)] = (A + E)[np.ix_(x, x)], (A - E)[np.ix_(x, x)]
-    Ad[np.ix_(held, own)], Ad[np.ix_(own, own)] = A[np.ix_(x, a)], A[np.ix_(a, a)]
-    Ad[np.ix_(own, first)] = Ad[np.ix_(own, held)] = A[np.ix_(a, x)]
-    Bd[held], Bd[own] = G.B[x], G.B[a]
-    Cd[:, first] = Cd[:, held] = G.C[:, x]
-    Cd[:, own] = G.C[:, a]
-    return UncertainSystem(Ed, Ad, Bd, Cd, G.D, dt, G.u, G.y)
-
-
-def _uncertain_midpoint(G: UncertainSystem, dt: float) -> UncertainSystem:
-    """The midpoint rule with a held input: of the same degrees in the parameters as G."""
-    if algebraic(G.E).any():
-        raise ModelError("the system G has algebraic states, which the midpoint rule does not keep; pass 'tustin'")
-    h = Fraction(dt)
-    return UncertainSystem(G.E - G.A * (h / 2), G.E + G.A * (h / 2), G.B * h, G.C, G.D, dt, G.u, G.y)
 
 
 def cayley(G: StateSpace, rate: float, dt: float = 1.0) -> StateSpace:

@@ -13,13 +13,15 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from synth.checks import as_flag, as_names, as_number, as_sign, as_timebase, as_whole, shown, timebase_told
 from synth.errors import ModelError
-from synth.systems.parameters import ZERO, Expression, Parameter, as_expression, as_expressions, joined
+from synth.systems.expressions import eye, fitted, product, square, zeros
+from synth.systems.parameters import Expression, Hold, Parameter, Remainder, as_expression, joined
 from synth.systems.realization import Matrices, is_singular
 from synth.systems.statespace import StateSpace, as_system
 from synth.systems.timebase import common_timebase
@@ -64,8 +66,8 @@ class UncertainSystem:
         for name in "ABC":
             if getattr(self, name) is None:
                 raise ModelError(f"{name} is None; pass the matrices of E x+ = A x + B u, y = C x + D u")
-        A, B, C, D = _fitted(self.A, self.B, self.C, self.D)
-        E = eye(len(A)) if self.E is None else _square("E", self.E, len(A))
+        A, B, C, D = fitted(self.A, self.B, self.C, self.D)
+        E = eye(len(A)) if self.E is None else square("E", self.E, len(A))
         for name, M in zip("EABCD", (E, A, B, C, D), strict=True):
             M.flags.writeable = False
             object.__setattr__(self, name, M)
@@ -74,11 +76,26 @@ class UncertainSystem:
         object.__setattr__(self, "y", as_names("y", self.y, self.ny))
         if len(self.parameters) > MOST_PARAMETERS:
             raise ModelError(f"there are {len(self.parameters)} parameters; at most {MOST_PARAMETERS} can be handled")
+        for hold in self._holds:
+            hold.check("the range", {name: p.range for name, p in self.parameters.items()})
         self._reduced({})
 
     @property
     def parameters(self) -> dict[str, Parameter]:
         """The parameters that occur, by name, in alphabetical order."""
+        return {name: p for name, p in self._symbols.items() if not isinstance(p, Remainder)}
+
+    @property
+    def remainders(self) -> dict[str, Remainder]:
+        """What entries of a hold equivalent are off their polynomials: proved ranges, part of every proof."""
+        return {name: p for name, p in self._symbols.items() if isinstance(p, Remainder)}
+
+    @property
+    def _holds(self) -> set[Hold]:
+        return {p.hold for p in self.remainders.values()}
+
+    @cached_property
+    def _symbols(self) -> dict[str, Parameter]:
         found = joined(*(entry.parameters for M in (self.E, self.A, self.B, self.C, self.D) for entry in M.flat))
         return dict(sorted(found.items()))
 
@@ -118,6 +135,8 @@ class UncertainSystem:
         Raises
         ------
         ModelError : no such parameter, a value outside its range, or E is singular there.
+
+        Of a hold equivalent (`c2d`) it is the polynomial, without what `remainders` bound, and only inside its box.
         """
         within = as_flag("within", within)
         if not isinstance(values, Mapping):
@@ -134,6 +153,8 @@ class UncertainSystem:
                     f"values[{name!r}] is {found[name]:.17g}, outside [{p.low:.17g}, {p.high:.17g}]; pass one inside, "
                     "or within=False"
                 )
+        for hold in self._holds:
+            hold.check("the value", {name: (x, x) for name, x in found.items()})
         return StateSpace(*self._reduced(found), self.dt, self.u, self.y)
 
     def sample(self, n: int, seed: int = 0) -> list[tuple[Values, StateSpace]]:
@@ -216,7 +237,7 @@ class UncertainSystem:
 
     def _reduced(self, values: Mapping[str, float]) -> Matrices:
         """A, B, C, D in doubles, with E undone and algebraic states solved for; nominal where nothing is said."""
-        exact = {name: Fraction(values.get(name, p.nominal)) for name, p in self.parameters.items()}
+        exact = {name: Fraction(values.get(name, p.nominal)) for name, p in self._symbols.items()}
         E, A, B, C, D = (_rounded(M, exact) for M in (self.E, self.A, self.B, self.C, self.D))
         where = f"at {values}" if values else "at the nominal parameters"
         static = algebraic(self.E)
@@ -299,16 +320,6 @@ def lft(P: Any, K: Any, nmeas: int | None = None, ncon: int | None = None) -> Un
     )
 
 
-def product(M: np.ndarray, N: np.ndarray) -> np.ndarray:
-    """M N of expressions, also without columns and rows between them."""
-    out = zeros(M.shape[0], N.shape[1])
-    for i, row in enumerate(M):
-        for k in (k for k, entry in enumerate(row) if not entry.is_zero):
-            for j in (j for j, entry in enumerate(N[k]) if not entry.is_zero):
-                out[i, j] = out[i, j] + row[k] * N[k, j]
-    return out
-
-
 def _diagonal(M: np.ndarray, N: np.ndarray) -> np.ndarray:
     return np.block([[M, zeros(len(M), len(N))], [zeros(len(N), len(M)), N]])
 
@@ -325,16 +336,6 @@ def algebraic(E: np.ndarray) -> np.ndarray:
     """Which states have neither an entry in the rows nor in the columns of E, (n,) bool."""
     used = np.array([[not entry.is_zero for entry in row] for row in E], bool).reshape(E.shape)
     return np.logical_not(used.any(axis=0) | used.any(axis=1))
-
-
-def eye(n: int) -> np.ndarray:
-    """The identity as expressions."""
-    return as_expressions("I", np.eye(n))
-
-
-def zeros(p: int, m: int) -> np.ndarray:
-    """Zeros as expressions."""
-    return np.full((p, m), ZERO, object)
 
 
 def as_uncertain(name: str, value: Any, dt: float | None = None) -> UncertainSystem:
@@ -356,37 +357,3 @@ def _rounded(M: np.ndarray, values: Mapping[str, Fraction]) -> np.ndarray:
         return np.array([float(entry.exactly(values)) for entry in M.flat]).reshape(M.shape)
     except OverflowError:
         raise ModelError("an entry is beyond doubles at these parameters; choose other units") from None
-
-
-def _fitted(A: Any, B: Any, C: Any, D: Any) -> tuple[np.ndarray, ...]:
-    """Two-dimensional matrices whose sizes agree."""
-    A, D = as_expressions("A", A), as_expressions("D", D)
-    if A.size == 0:
-        D = D.reshape(1, 1) if D.ndim == 0 else D
-        if D.ndim != 2 or any(as_expressions(name, M).size for name, M in (("B", B), ("C", C))):
-            raise ModelError("A has no entries; of a system without states pass B and C without entries, and D in rows")
-        return zeros(0, 0), zeros(0, D.shape[1]), zeros(D.shape[0], 0), D
-    A = _square("A", A, len(A) if A.ndim else 1)
-    n = len(A)
-    B, C = as_expressions("B", B), as_expressions("C", C)
-    B = B.reshape(n, -1) if B.ndim < 2 and (B.size == n or n == 1) else B
-    C = C.reshape(-1, n) if C.ndim < 2 and (C.size == n or n == 1) else C
-    for name, M, axis in (("B", B, 0), ("C", C, 1)):
-        if M.ndim != 2 or M.shape[axis] != n or not M.size:
-            raise ModelError(f"{name} has shape {M.shape}; A is {n} x {n}: pass {'rows' if axis == 0 else 'columns'} "
-                             f"for {n} states")  # fmt: skip
-    p, m = C.shape[0], B.shape[1]
-    if D.ndim == 0 and D[()].is_zero:
-        D = zeros(p, m)
-    D = D.reshape(p, m) if D.ndim < 2 and D.size == p * m and 1 in (p, m) else D
-    if D.shape != (p, m):
-        raise ModelError(f"D has shape {D.shape} where {p} x {m} is needed")
-    return A, B, C, D
-
-
-def _square(name: str, value: Any, n: int) -> np.ndarray:
-    M = as_expressions(name, value)
-    M = M.reshape(1, 1) if M.ndim == 0 else M
-    if M.shape != (n, n):
-        raise ModelError(f"{name} has shape {M.shape} where {n} x {n} is needed")
-    return M.copy()
