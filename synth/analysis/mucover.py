@@ -34,6 +34,7 @@ FAR = 16.0  # ratio by which an interval without end is cut
 LITTLE = 1e-6  # of the largest norm: a bound below it is not looked for
 NARROW = 1e-9  # relative width of an interval that is one frequency to rounding
 WITHIN = 1e-9  # part of an interval of angles at its ends where the centres themselves prove the level
+EXACT = 0.03  # part of the tolerance to which bounds at single frequencies are found
 WIDER = 3.0  # times the tolerance, where a level is not proved
 WIDEST = 0.3  # tolerance beyond which none is
 
@@ -70,15 +71,20 @@ def cover(G: StateSpace, blocks: Structure, tol: float) -> Cover:
     ------
     NumericalError : no level near it could be shown between frequencies.
     """
-    at, cone = response(G), Cone(blocks)
+    at, cone, exact = response(G), Cone(blocks), tol * EXACT
 
     def mu(w: float) -> float:
-        return best_scalings(at(w), blocks, cone).bound
+        return best_scalings(at(w), blocks, cone, exact).bound
 
-    bounds = {w: mu(w) for w in _edges(G)}
+    bounds = {w: Search(at(w), cone).size for w in _edges(G)}
     floor = LITTLE * max(float(np.linalg.norm(at(w), 2)) for w in bounds) or np.finfo(float).tiny
+    peak = 0.0
+    for w in sorted(bounds, key=lambda w: -bounds[w]):
+        if bounds[w] > peak or not blocks.is_complex:  # balancing has not shown yet that it is lower
+            bounds[w] = mu(w)
+            peak = max(peak, bounds[w])
     tops = sorted(bounds, key=lambda w: -bounds[w])
-    peak, where = _climbed(mu, bounds, tops[0])
+    peak, where = _climbed(mu, bounds, tops[0], exact)
     for _ in range(TRIES):
         level = max(peak * (1 + tol), floor)
         shown = Level(G, at, cone, level)
@@ -89,7 +95,7 @@ def cover(G: StateSpace, blocks: Structure, tol: float) -> Cover:
         if found is not None:
             bounds[found] = mu(found)
             if bounds[found] > peak:
-                peak, where = _climbed(mu, bounds, found)
+                peak, where = _climbed(mu, bounds, found, exact)
                 continue
         tol *= WIDER
         if tol > WIDEST:
@@ -112,7 +118,7 @@ def _edges(G: StateSpace) -> list[float]:
     return [0.0, *edges[np.append(True, np.diff(edges) > NARROW * edges[1:])].tolist(), np.inf]
 
 
-def _climbed(mu: Callable[[float], float], bounds: dict[float, float], w: float) -> tuple[float, float]:
+def _climbed(mu: Callable[[float], float], bounds: dict[float, float], w: float, exact: float) -> tuple[float, float]:
     """The local maximum between the neighbours of a frequency, over its logarithm."""
     edges = sorted(bounds)
     i = edges.index(w)
@@ -120,7 +126,7 @@ def _climbed(mu: Callable[[float], float], bounds: dict[float, float], w: float)
     low, high = low or edges[1] / FAR, high if np.isfinite(high) else edges[-2] * FAR
     if not 0 < low < high:
         return bounds[w], w
-    top, at = climb(lambda x: mu(float(np.exp(x))), float(np.log(low)), float(np.log(high)))
+    top, at = climb(lambda x: mu(float(np.exp(x))), float(np.log(low)), float(np.log(high)), exact)
     return max((top, float(np.exp(at))), (bounds[w], w))
 
 

@@ -309,11 +309,12 @@ def ascend(gain: Gain, level: float, angle: float) -> tuple[float, float]:
     return level, angle
 
 
-def climb(gain: Gain, low: float, high: float) -> tuple[float, float]:
-    """The local maximum of the gain in an interval of angles, and where it is, by golden section."""
+def climb(gain: Gain, low: float, high: float, part: float = 1e-6) -> tuple[float, float]:
+    """The local maximum of the gain in an interval of angles, and where it is to a part of it, by golden section."""
     a, b = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
     fa, fb = gain(a), gain(b)
-    narrow = 1e-6 * (high - low)  # the top is flat: the gain is known to the square of that
+    narrow = part * (high - low)  # the top is flat: the gain is known to the square of that
+    narrow = max(narrow, 4 * np.finfo(float).eps * max(abs(low), abs(high)))
     while high - low > narrow:
         if fa > fb:
             high, b, fb = b, a, fa

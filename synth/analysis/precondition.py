@@ -16,6 +16,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+import scipy.linalg as sla
 
 from synth.equations.doubling import regularised_lqr
 from synth.errors import AssumptionError, ModelError, NumericalError
@@ -41,6 +42,14 @@ class Conditioned:
     Su: np.ndarray  # (nu, nu) actuator scaling
     Sy: np.ndarray  # (ny, ny) sensor scaling
     D22: np.ndarray  # (ny, nu) of the original plant
+    w: float  # factor on the gains from w; on those to z it is 1 / (scale w)
+
+    def slope(self, found: np.ndarray) -> np.ndarray:
+        """A derivative by [A B1 B2; C1 D11 D12; C2 D21 D22] of the original plant, from one by that of the scaled."""
+        _, nw, _, nz, _ = self.plant.sizes
+        left = sla.block_diag(np.linalg.inv(self.T), np.eye(nz) / (self.scale * self.w), self.Sy)
+        right = sla.block_diag(self.T, np.eye(nw) * self.w, self.Su)
+        return np.asarray(left).T @ found @ np.asarray(right).T
 
     def restore(self, K: StateSpace) -> StateSpace:
         """The controller for the original u and y, from one for the scaled plant.
@@ -125,7 +134,7 @@ def conditioned(P: GeneralizedPlant) -> Conditioned:
     third = _Coordinates(I(len(T)), I(len(T)), r * I(len(F)), r * I(len(S.C2)), 1 / r, 1 / r)
     return Conditioned(
         plant=_transformed(S, third), scale=level / (first.w * first.z), T=first.T @ T,
-        Su=first.Su @ second.Su * r, Sy=r * second.Sy @ first.Sy, D22=P.D22,
+        Su=first.Su @ second.Su * r, Sy=r * second.Sy @ first.Sy, D22=P.D22, w=first.w / r,
     )  # fmt: skip
 
 

@@ -150,11 +150,10 @@ def bound_of(M: np.ndarray, left: np.ndarray, right: np.ndarray, G: np.ndarray) 
     return float(np.sqrt(max(top, 0.0)) * (1 + ROUNDED))
 
 
-def best_scalings(M: np.ndarray, blocks: Structure, cone: Cone | None = None) -> Scalings:
-    """The scalings with the least bound, to about `EXACT`."""
-    cone = cone or Cone(blocks)
-    search = Search(M, cone)
-    search.descend(0.0)
+def best_scalings(M: np.ndarray, blocks: Structure, cone: Cone | None = None, exact: float = EXACT) -> Scalings:
+    """The scalings with the least bound, to about `exact`, relative."""
+    search = Search(M, cone or Cone(blocks))
+    search.descend(0.0, exact)
     return search.result()
 
 
@@ -182,8 +181,8 @@ class Search:
             if self._top(x) < self.top:
                 self.x, self.top = x, self._top(x)
 
-    def descend(self, level: float) -> bool:
-        """Lower t until the bound is below the level, or cannot be lower; True where it is below."""
+    def descend(self, level: float, exact: float = EXACT) -> bool:
+        """Lower t until the bound is below the level, or cannot be lower by `exact`; True where it is below."""
         target = (level / self.size) ** 2
         t = max(self.top * 1.1, NOTHING)
         for _ in range(CENTRES):
@@ -194,7 +193,7 @@ class Search:
                 break
             self.x, top = x, self._top(x)
             self.top = min(self.top, top)
-            if t - top < EXACT * t or top < NOTHING**2:
+            if t - top < exact * t or top < NOTHING**2:
                 break
             t = top + NEARER * (t - top)
         return bool(level and self.top < target)

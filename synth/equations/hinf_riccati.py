@@ -36,6 +36,7 @@ NEARLY = 0.99  # coupling just above an optimum that it decides
 FAR = 1.1  # times the optimum, where equations are that have met no wall
 FALLEN, NEARER = 1e-2, 5e-2  # parts that are left there, just above the optimum, of rcond and of the distance
 LOWEST, HIGHEST = 1e-9, 1e9  # levels searched, scaled plant
+BESIDE = 0.02  # relative distance from where the lowest level is thought to be at which is looked first
 MAX_LEVELS = 120  # tried in one search; 10 to 30 are used
 
 
@@ -291,7 +292,7 @@ def central_controller(P: GeneralizedPlant, s: Solutions) -> StateSpace | None:
     return StateSpace(Pt.A + P.B2 @ F2 - B @ Pt.C2, B, C, D, P.dt)
 
 
-def search(P: GeneralizedPlant, X0: np.ndarray, Y0: np.ndarray, tol: float = 1e-7) -> Search:
+def search(P: GeneralizedPlant, X0: np.ndarray, Y0: np.ndarray, tol: float = 1e-7, near: float | None = None) -> Search:
     """The lowest feasible level to the relative accuracy `tol`.
 
     Secant on the logarithm of the coupling inside a bracket; bisection where the existence of X or Y binds.
@@ -299,6 +300,7 @@ def search(P: GeneralizedPlant, X0: np.ndarray, Y0: np.ndarray, tol: float = 1e-
     Parameters
     ----------
     X0, Y0 : (n, n) starts of the two equations, near their solutions at a high level
+    near : where the lowest level is thought to be, if anything is known of it
 
     Raises
     ------
@@ -306,11 +308,14 @@ def search(P: GeneralizedPlant, X0: np.ndarray, Y0: np.ndarray, tol: float = 1e-
     """
     bound = parrott(P)
     low = Solutions(max(bound, LOWEST), None, None, np.inf)
-    high, count = solve_level(P, max(1.2, 1.2 * bound), X0, Y0), 1
+    high, count = solve_level(P, (1 + BESIDE) * near if near else max(1.2, 1.2 * bound), X0, Y0), 1
     while not high.feasible:
         if high.gamma > HIGHEST:
             raise NumericalError("the Riccati equations have no solution at any level")
         low, high, count = high, solve_level(P, 3 * high.gamma, X0, Y0), count + 1
+    if near and low.gamma < (1 - BESIDE) * near < high.gamma:
+        trial, count = solve_level(P, (1 - BESIDE) * near, X0, Y0), count + 1
+        low, high = (low, trial) if trial.feasible else (trial, high)
     weight = 1.0  # of the lower end in the secant (Illinois)
     while high.gamma > low.gamma * (1 + tol) and count < MAX_LEVELS:
         # start from solutions at a higher level: those at a lower one are too large

@@ -3,9 +3,11 @@
     K step    hinfsyn of the plant with D on its z and D^-1 on its w
     D step    scalings of the new loop N by frequency (`mucover`: they show the bound of mu(N) between frequencies too),
               and stable systems without unstable zeros whose magnitude is near theirs (`magnitudes`)
+    both      from there the lowest level of the K step, as a function of poles, zeros and gains of D, is lowered
+              (`scaledplants`): neither of the two steps alone can see that the other has more to give
 
-Neither step can see that the other has more to give, so the iteration ends somewhere, not at the optimum. Every
-controller on the way was verified by `hinfsyn`, every bound of mu holds between frequencies, and the best is kept.
+It ends at a local optimum. Every controller on the way was verified, every bound of mu holds between frequencies, and
+the best is kept.
 
 References: Doyle (1985), CDC; Balas, Doyle, Glover, Packard and Smith (1993), mu-Analysis and Synthesis Toolbox.
 """
@@ -13,6 +15,7 @@ References: Doyle (1985), CDC; Balas, Doyle, Glover, Packard and Smith (1993), m
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -26,16 +29,19 @@ from synth.analysis.scalings import Cone
 from synth.checks import as_number, as_whole, numerical
 from synth.errors import AssumptionError, InfeasibleError, NumericalError, VerificationError
 from synth.synthesis.design import Design
-from synth.synthesis.hinfinity import as_plant, hinfsyn
-from synth.systems.connect import series
-from synth.systems.generalized import GeneralizedPlant, beside
-from synth.systems.magnitudes import fitted
-from synth.systems.sampled import cayley, inverse_cayley
-from synth.systems.statespace import StateSpace, repeated
+from synth.synthesis.hinfinity import as_plant, finished, hinfsyn, make_route
+from synth.synthesis.scaledplants import ScaledPlants, Scales, split
+from synth.synthesis.search import Search
+from synth.systems.generalized import GeneralizedPlant
+from synth.systems.magnitudes import coordinates, order_of, raised
+from synth.systems.sampled import inverse_cayley
+from synth.systems.statespace import StateSpace
 from synth.threads import one_thread
 
 ABOVE = 3e-3  # relative: the level whose analytic centres are the scalings that are fitted
 LIGHT = 0.02  # part of the largest stiffness below which a scaling may be anything
+CALLS = 30  # of the level in the descent of a round
+PLACES = 8  # frequencies at which another pole and zero are tried
 FIRST, FINER = 4e-3, 3.0  # how well rounds are solved and fitted at first, and the factor by which where they stall
 FAILURES = (AssumptionError, InfeasibleError, NumericalError, VerificationError)  # of a round
 TOLERANCE, ORDER, ITERATIONS = 3e-3, 5, 15
@@ -116,26 +122,27 @@ def musyn(
     iterations = as_whole("iterations", iterations, "how many rounds, at least 1", least=1, most=1000)
     order = as_whole("order", order, "the highest order of a scaling", least=0, most=20)
     tol = as_number("tol", tol, "a relative distance from the optimum, 1e-3 for example", above=0)
-    loosened = structure.loosened
-    scalings = [StateSpace.gain([[1.0]], plant.dt)] * len(loosened.blocks)
+    problem = ScaledPlants.of(plant, structure.loosened)
+    scales = [np.zeros(1)] * (len(problem.blocks.blocks) - 1)
     history: list[Iterate] = []
-    best: _Round | None = None
-    fine, ended = max(FIRST, tol), ""
-    rounds = iterations if len(loosened.blocks) > 1 else 1  # of one block no scaling matters
+    best = last = None
+    fine, ended, way = max(FIRST, tol), "", None
+    rounds = iterations if scales else 1  # of one block no scaling matters
     while len(history) < rounds and fine >= tol:
-        if best is not None:
-            scalings = fit(best.loop, best.found, loosened, order, fine)
         try:
-            one = _round(plant, loosened, scalings, fine)
+            if last is not None:
+                way = way if way and way.open else _Way.of(problem, last, way, order, fine)
+                scales = way.on(fine)
+            last = _round(problem, scales, fine)
         except FAILURES as error:
             if best is None:
                 raise
             ended = f"round {len(history) + 1}: {error}"
             fine /= FINER
             continue
-        history.append(Iterate(one.step.gamma, one.mu, one.step.controller.n, tuple(D.n for D in scalings[:-1])))
-        gained = best is None or one.mu < best.mu * (1 - fine / FINER)
-        best = one if best is None or one.mu < best.mu else best
+        history.append(Iterate(last.step.gamma, last.mu, last.step.controller.n, tuple(map(order_of, scales))))
+        gained = best is None or last.mu < best.mu * (1 - fine / FINER)
+        best = last if best is None or last.mu < best.mu else best
         if not gained:
             fine /= FINER
     assert best is not None
@@ -146,67 +153,97 @@ class _Round(NamedTuple):
     """A K step and what was seen of its loop."""
 
     step: Design  # of the scaled plant
+    scales: Scales  # it was designed with
     loop: StateSpace  # the plant and its controller
     found: Cover  # its scalings over frequency, of a discrete loop by the Cayley map of rate 1
     mu: float  # upper bound, all blocks complex and each on its own
 
 
-def _round(plant: GeneralizedPlant, blocks: Structure, scalings: list[StateSpace], fine: float) -> _Round:
+def _round(problem: ScaledPlants, scales: Scales, fine: float) -> _Round:
     """A controller a little above the best level, where it is less extreme, for the next scalings depend on it."""
-    step = hinfsyn(scaled(plant, blocks, scalings), tol=fine)
-    optimum = min(step.info.optimum or step.gamma, step.gamma)
+    scaled = problem.scaled(scales)
     try:
-        step = hinfsyn(step.plant, gamma=optimum * (1 + fine), tol=fine)
-    except FAILURES:  # then the first one it is
-        pass
-    loop = plant.close(step.controller)
-    found = cover(inverse_cayley(loop, 1.0) if loop.discrete else loop, blocks, ABOVE)
-    return _Round(step, loop, found, min(found.upper, step.gamma))
+        step = _central(scaled, problem.rate, fine)
+    except FAILURES:  # the LMIs are asked in the first round only: with dynamic scalings they are slow
+        step = hinfsyn(scaled, tol=fine, method="riccati" if np.any(np.concatenate([*scales, [0.0]])) else "auto")
+    loop = problem.plant.close(step.controller)
+    found = cover(inverse_cayley(loop, 1.0) if loop.discrete else loop, problem.blocks, ABOVE)
+    return _Round(step, scales, loop, found, min(found.upper, step.gamma))
 
 
-def scaled(plant: GeneralizedPlant, blocks: Structure, scalings: list[StateSpace]) -> GeneralizedPlant:
-    """The plant with D on its z and D^-1 on its w, a system of one signal for every block."""
-    _, _, nu, _, ny = plant.sizes
-    bare = StateSpace(*plant.system.matrices, plant.dt)
-    return GeneralizedPlant.partition(_between(bare, blocks, scalings, ny, nu), ny, nu)
+def _central(plant: GeneralizedPlant, rate: float | None, fine: float) -> Design:
+    """The central controller a little above the lowest level, by the Riccati equations at one rate.
+
+    Raises
+    ------
+    NumericalError : there is none, or it does not keep its level.
+    """
+    started = time.perf_counter()
+    search = Search(plant, fine, make_route)
+    route, _ = search.route("riccati", rate)
+    optimum, status = route.minimise()
+    found = search.controllers("riccati", "riccati", route, rate, optimum * (1 + fine), status)
+    if found is None or found.measured.norm > found.level * (1 + fine):
+        raise NumericalError("the central controller does not keep its level", search.failures)
+    return finished(search, found, started)
 
 
-def _between(G: StateSpace, blocks: Structure, scalings: list[StateSpace], ny: int = 0, nu: int = 0) -> StateSpace:
-    """D G D^-1; the last `ny` outputs and `nu` inputs are left as they are."""
-    sides = list(zip(blocks.blocks, scalings, strict=True))
-    after = [repeated(D, block.size[1]) for block, D in sides]
-    before = [repeated(D.inverse(), block.size[0]) for block, D in sides]
-    after, before = (
-        beside([*some, *([StateSpace.gain(np.eye(k), G.dt)] if k else [])]) for some, k in ((after, ny), (before, nu))
-    )
-    return series(series(before, G), after)
+class _Way:
+    """A descent of the level over scalings of given orders."""
+
+    def __init__(self, problem: ScaledPlants, scales: Scales, omega: np.ndarray):
+        self.scales, self.descent, self.open = scales, problem.descent(scales, omega), True
+
+    @classmethod
+    def of(cls, problem: ScaledPlants, last: _Round, before: _Way | None, order: int, fine: float) -> _Way:
+        """A new one: from near the scalings of the last loop, or from where the one before ended, of a higher order.
+
+        Of those near the scalings of the loop the lowest order is taken whose level is near the best of all orders.
+        """
+        wanted = _wanted(last.loop, last.found, problem.blocks)
+        some = list(near(*wanted, order))
+        levels = np.array([problem.lowest(scales) for scales in some])
+        if before is None or np.log(levels.min()) < before.descent.value - fine:
+            return cls(problem, some[int(np.argmax(levels <= levels.min() * (1 + fine)))], wanted[0])
+        ended = split(before.descent.x, before.scales)
+        if order_of(ended[0]) < order:
+            return cls(problem, _raised(problem, ended, wanted[0]), wanted[0])
+        return before
+
+    def on(self, fine: float) -> Scales:
+        """Some steps down; the way stays open while they gain something."""
+        self.open = self.descent.run(CALLS, fine / FINER)
+        return split(self.descent.x, self.scales)
 
 
-def fit(loop: StateSpace, found: Cover, blocks: Structure, order: int, fine: float) -> list[StateSpace]:
-    """Systems near the scalings of a loop, of the lowest order with which its scaled norm is near their level."""
+def _raised(problem: ScaledPlants, scales: Scales, omega: np.ndarray) -> Scales:
+    """The scalings with one pole and one zero more each, which cancel where the level minds most that they do."""
+    found = []
+    for x in np.linspace(np.log(omega[0]), np.log(omega[-1]), PLACES):
+        more = [raised(y, x) for y in scales]
+        found.append((more, [np.abs(g[-2:]).max() for g in problem.slope(more)]))
+    best = np.argmax([slopes for _, slopes in found], axis=0)
+    return [found[k][0][i] for i, k in enumerate(best)]
+
+
+def _wanted(loop: StateSpace, found: Cover, blocks: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frequencies (k,) at which a loop minds its scalings, those (k, s) relative to the last, and how much (k, s)."""
     omega = np.array(sorted(w for w in found.centres if 0 < w < np.inf))
     at = response(inverse_cayley(loop, 1.0) if loop.discrete else loop)
     first = [block.columns.start for block in blocks.blocks]
     d = np.array([np.sqrt(np.real(found.centres[w][0].diagonal()[first])) for w in omega])
-    d = d / d[:, -1:]
-    cone = Cone(blocks)
-    weights = np.array([cone.stiffness(at(w), found.upper, found.centres[w]) for w in omega])
-    best: tuple[float, list[StateSpace]] = np.inf, [StateSpace.gain([[1.0]], loop.dt)] * len(first)
-    kept = (weights >= LIGHT * weights.max(axis=0))[:, :-1].any(axis=1)
-    omega, d, weights = omega[kept], d[kept], weights[kept]
+    cone, free = Cone(blocks), np.sqrt([block.size[0] for block in blocks.blocks])
+    weights = np.array([cone.stiffness(at(w), found.upper, found.centres[w]) for w in omega]) / free - 1
+    most = weights.max(axis=0)
+    weights = np.where(most > 0, np.maximum(weights / np.where(most > 0, most, 1.0), LIGHT), 1.0)
+    kept = (weights > LIGHT)[:, :-1].any(axis=1)
+    return omega[kept], (d / d[:, -1:])[kept, :-1], weights[kept, :-1]
+
+
+def near(omega: np.ndarray, magnitudes: np.ndarray, weights: np.ndarray, order: int) -> Iterator[Scales]:
+    """Scalings of every order up to the highest, near magnitudes at frequencies, both (k, s)."""
     for k in range(order + 1):
-        sides = zip(d.T[:-1], weights.T[:-1], strict=True)
-        scalings = [
-            *(fitted(omega, magnitude, weight, k) for magnitude, weight in sides),
-            StateSpace.gain([[1.0]], 0.0),
-        ]
-        values = np.abs([D.frequency_response(omega)[:, 0, 0] for D in scalings]).T
-        norm = max(float(np.linalg.norm(blocks.scaled(at(w), x), 2)) for w, x in zip(omega, values, strict=True))
-        if norm < best[0] * (1 - fine / FINER):
-            best = norm, [cayley(D, 1.0, loop.dt) if loop.discrete else D for D in scalings]
-        if norm < found.upper * (1 + fine):
-            break
-    return best[1]
+        yield [coordinates(omega, *of, k) for of in zip(magnitudes.T, weights.T, strict=True)]
 
 
 def _finished(

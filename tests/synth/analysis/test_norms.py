@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from synth.analysis.norms import h2norm, hinfnorm, is_stable, spectral_radius, verify
+from synth.analysis.norms import climb, h2norm, hinfnorm, is_stable, spectral_radius, verify
 from synth.errors import VerificationError
 from synth.systems.sampled import c2d
 from synth.systems.statespace import StateSpace
@@ -90,3 +90,16 @@ def test_agreement_with_slicot_from_below():
 def test_continuous_and_held_systems_agree_at_low_frequency():
     G = StateSpace([[-0.01]], [[1.0]], [[1.0]], [[0.0]])
     assert hinfnorm(c2d(G, 0.1))[0] == pytest.approx(hinfnorm(G)[0], rel=1e-9)
+
+
+def test_a_climb_between_angles_that_are_one_to_rounding_ends():
+    """As between poles of repeated weights."""
+    calls = []
+
+    def gain(angle: float) -> float:
+        calls.append(angle)
+        assert len(calls) < 100
+        return 1.0
+
+    assert climb(gain, 1.0, np.nextafter(1.0, 2.0)) == (1.0, pytest.approx(1.0))
+    assert climb(gain, 1.0, 1.0) == (1.0, 1.0)
