@@ -1,5 +1,6 @@
-"""D-K iteration on the flexible satellite: it takes real frequencies for complex numbers, and lightly damped modes end it."""
+"""mu of the flexible satellite; D-K iteration takes its frequencies for complex numbers, which no controller bears."""
 
+import flexible as study
 import flexible_designs as designs
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ BLOCKS = [(-1, 0), (-2, 0), (-2, 0), (2, 2)]  # inertia, two frequencies of whic
 def fractional(percentage: float) -> StateSpace:
     """Roll as a linear fractional form in J and w1, w2 within +- so many percent; last input u / J, last output angle.
 
-    With v = W (1 + r b) eta, f = W (1 + r b) (v + 2 z eta'): J theta'' + r J a theta'' + d eta'' = tau, eta'' + d' theta'' + f = 0.
+    v = W (1 + r b) eta, f = W (1 + r b) (v + 2 z eta'); J (1 + r a) theta'' + d eta'' = tau, eta'' + d' theta'' + f = 0
     """
     r, W, J, k = percentage / 100, designs.FREQUENCIES, designs.ROLL, len(designs.FREQUENCIES)
     n, blocks = 1 + k, 1 + 2 * k
@@ -41,14 +42,8 @@ def test_the_fractional_form_is_the_plant_of_the_box():
         a, b, c = signs
         delta = np.diag([a, b, b, c, c])
         turned = StateSpace(P.A, np.roll(P.B, 3, 1), np.roll(P.C, 3, 0), np.roll(P.D, (3, 3), (0, 1)), 0.0)
-        values = {
-            name: v * (1 + 0.2 * s)
-            for (name, v), s in zip(
-                {"J": designs.ROLL, "w1": designs.FREQUENCIES[0], "w2": designs.FREQUENCIES[1]}.items(),
-                signs,
-                strict=True,
-            )
-        }
+        scales = zip(study.PARAMETERS.items(), signs, strict=True)
+        values = {name: v * (1 + 0.2 * s) for (name, v), s in scales}
         omega = np.array([0.1, 1.0, 3.0, 20.0])
         np.testing.assert_allclose(
             lft(turned, StateSpace.gain(delta, 0.0), 5, 5).frequency_response(omega),
