@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from synth.analysis.norms import h2norm as h2norm
     from synth.analysis.norms import hinfnorm as hinfnorm
     from synth.analysis.norms import verify as verify
+    from synth.analysis.sampleddata import SampledNorm as SampledNorm
+    from synth.analysis.sampleddata import sdh2norm as sdh2norm
+    from synth.analysis.sampleddata import sdhinfnorm as sdhinfnorm
     from synth.analysis.stabilitymargins import Margins as Margins
     from synth.analysis.stabilitymargins import allmargin as allmargin
     from synth.command.specification import Study as Study
@@ -144,6 +147,7 @@ _HOME = {
     "NumericalError": "errors",
     "QuaternionModel": "regulators.sdc",
     "Requirements": "delivery.acceptance",
+    "SampledNorm": "analysis.sampleddata",
     "Sdre": "regulators.sdre",
     "SdreHinf": "regulators.sdre",
     "SdreHinfPaperLiteral": "regulators.sdre",
@@ -209,6 +213,8 @@ _HOME = {
     "read": "delivery.modelfiles",
     "read_study": "command.specification",
     "robstab": "proof.stability",
+    "sdh2norm": "analysis.sampleddata",
+    "sdhinfnorm": "analysis.sampleddata",
     "series": "systems.connect",
     "sigma": "delivery.frequencyplots",
     "sign": "delivery.signatures",

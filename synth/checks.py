@@ -353,7 +353,7 @@ def as_indices(kind: str, key: Any, names: tuple[str, ...]) -> list[int]:
     """Numbers of the signals that a key means."""
     if isinstance(key, slice):
         return list(range(len(names))[key])
-    if isinstance(key, list | tuple | range | np.ndarray):
+    if isinstance(key, list | tuple | range) or (isinstance(key, np.ndarray) and key.ndim):
         return [i for k in key for i in as_indices(kind, k, names)]
     if isinstance(key, str):
         if key not in names:

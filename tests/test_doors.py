@@ -95,6 +95,15 @@ def curve(ax: Any) -> np.ndarray:
     return shown
 
 
+def weighted(G: Any) -> Any:
+    """A plant whose last output sees the given system."""
+    return synth.augw(G, 1.0, 0.1).system.to_control()
+
+
+# z = G (w + u) + 0.1 u, y = G (w + u), with a G that the plant of this file stabilises
+HELD = synth.system([[-1.0]], [[1.0, 1.0]], [[1.0], [-1.0]], [[0.0, 0.1], [0.0, 0.0]])
+
+
 # function -> what it makes of one system at a timebase, as numbers that no coordinates change
 OF_A_SYSTEM: dict[str, Callable[[Any, float], Any]] = {
     "accept": lambda G, dt: synth.accept(-0.3, synth.gang_of_four(G), dt=None if dt else 0.1).conditions[0].norm,
@@ -145,6 +154,9 @@ OF_A_SYSTEM: dict[str, Callable[[Any, float], Any]] = {
     "nugap": lambda G, dt: synth.nugap([G, 2.0]).radius,
     "nyquist": lambda G, dt: curve(synth.nyquist(G, omega=OMEGA)),
     "pzmap": lambda G, dt: np.sort(np.abs(curve(synth.pzmap(G)))),
+    "sdh2norm": lambda G, dt: synth.sdh2norm(HELD, G) if dt else synth.sdh2norm(weighted(G), 0.3, DT, held=0),
+    "sdhinfnorm": lambda G, dt: synth.sdhinfnorm(HELD, G).upper
+    if dt else synth.sdhinfnorm(weighted(G), 0.3, DT, held=0).upper,
     "series": lambda G, dt: response(synth.series(G, G)) + response(synth.series(G, 2.0)),
     "sigma": lambda G, dt: curve(synth.sigma(G, omega=OMEGA)),
     "step": lambda G, dt: curve(synth.step(G, time=5.0)),
@@ -279,6 +291,10 @@ RIGHT: dict[str, dict[str, Any]] = {
     "read": {"path": "plant.json"},
     "read_study": {"path": "nothing.toml"},
     "series": {"G": CONTINUOUS, "H": CONTINUOUS},
+    **{
+        name: {"P": HELD, "K": SAMPLED, "h": None, "delay": 0.1, "held": None} | more
+        for name, more in (("sdh2norm", {}), ("sdhinfnorm", {"tol": 1e-6}))
+    },
     "keygen": {"path": "nothing"},
     "sign": {"path": "file", "key": "pair.key", "passphrase": None, "force": True},
     "verify_signature": {"path": "file", "key": "pair.pub"},
