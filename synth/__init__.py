@@ -104,6 +104,7 @@ if TYPE_CHECKING:
     from synth.synthesis.loopshaping import ncfsyn as ncfsyn
     from synth.synthesis.mixedsensitivity import augw as augw
     from synth.synthesis.mixedsensitivity import mixsyn as mixsyn
+    from synth.synthesis.sampleddata import sdhinfsyn as sdhinfsyn
     from synth.systems.connect import feedback as feedback
     from synth.systems.connect import lft as lft
     from synth.systems.connect import series as series
@@ -215,6 +216,7 @@ _HOME = {
     "robstab": "proof.stability",
     "sdh2norm": "analysis.sampleddata",
     "sdhinfnorm": "analysis.sampleddata",
+    "sdhinfsyn": "synthesis.sampleddata",
     "series": "systems.connect",
     "sigma": "delivery.frequencyplots",
     "sign": "delivery.signatures",

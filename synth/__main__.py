@@ -97,6 +97,7 @@ def make_parser() -> argparse.ArgumentParser:
     verify.add_argument("--overload", type=float, default=2.0, help="peak demand over the limits (default 2)")
     for option, unit in (
         ("ratio", "norm over the level (default 1.01)"), ("delay-ratio", "... with one sample of delay"),
+        ("intersample-ratio", "... between the samples (default 1.05)"),
         ("gain-margin-db", "dB, one loop at a time"), ("phase-margin-deg", "degrees, one loop at a time"),
         ("delay-margin-samples", "samples, one loop at a time (default 1; 0 asks nothing)"),
         ("disk-margin", "alpha, all loops at once (default 0.34; 0 asks nothing)"), ("ncf-margin", "0 to 1"),

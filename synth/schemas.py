@@ -77,6 +77,7 @@ class NamedPlant(Plant):
     z: Names = []
     y: Names = []
     units: dict[str, str] = {}
+    continuous: NamedPlant | None = None  # that it was sampled from
 
 
 class Info(Record):

@@ -157,6 +157,7 @@ OF_A_SYSTEM: dict[str, Callable[[Any, float], Any]] = {
     "sdh2norm": lambda G, dt: synth.sdh2norm(HELD, G) if dt else synth.sdh2norm(weighted(G), 0.3, DT, held=0),
     "sdhinfnorm": lambda G, dt: synth.sdhinfnorm(HELD, G).upper
     if dt else synth.sdhinfnorm(weighted(G), 0.3, DT, held=0).upper,
+    "sdhinfsyn": lambda G, dt: gamma(synth.sdhinfsyn(weighted(G), DT, 1, 1)) if not dt else 0.0,
     "series": lambda G, dt: response(synth.series(G, G)) + response(synth.series(G, 2.0)),
     "sigma": lambda G, dt: curve(synth.sigma(G, omega=OMEGA)),
     "step": lambda G, dt: curve(synth.step(G, time=5.0)),
@@ -291,6 +292,7 @@ RIGHT: dict[str, dict[str, Any]] = {
     "read": {"path": "plant.json"},
     "read_study": {"path": "nothing.toml"},
     "series": {"G": CONTINUOUS, "H": CONTINUOUS},
+    "sdhinfsyn": {"P": HELD, "h": DT, "nmeas": 1, "ncon": 1, "tol": 1e-3},
     **{
         name: {"P": HELD, "K": SAMPLED, "h": None, "delay": 0.1, "held": None} | more
         for name, more in (("sdh2norm", {}), ("sdhinfnorm", {"tol": 1e-6}))

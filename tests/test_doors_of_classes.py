@@ -35,7 +35,8 @@ RIGHT: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "G / other": (lambda other: G / other, {"other": 2.0}),
     "G ** power": (lambda power: G**power, {"power": 1}),
     "GeneralizedPlant": (
-        synth.GeneralizedPlant, NINE | {"D22": 0, "dt": 0.5, "w": (), "u": (), "z": (), "y": (), "units": {}}
+        synth.GeneralizedPlant,
+        NINE | {"D22": 0, "dt": 0.5, "w": (), "u": (), "z": (), "y": (), "units": {}, "continuous": None},
     ),
     "GeneralizedPlant.partition": (
         synth.GeneralizedPlant.partition, {"system": WEIGHTED.system, "nmeas": 1, "ncon": 1}
@@ -72,7 +73,8 @@ RIGHT: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
         {"source": SAMPLED, "dtype": "double", "umin": None, "umax": None, "antiwindup": None},
     ),
     "Requirements": (
-        synth.Requirements, {"ratio": 1.01, "delay_ratio": None, "gain_margin_db": 6.0, "disk_margin": 0.34}
+        synth.Requirements,
+        {"ratio": 1.01, "delay_ratio": None, "intersample_ratio": 1.05, "gain_margin_db": 6.0, "disk_margin": 0.34},
     ),
     "Sdre.create": (
         synth.Sdre.create, {"model": synth.QuaternionModel.create(np.eye(3)), "dt": 0.1, "Q": None, "R": None}

@@ -23,14 +23,16 @@ import numpy as np
 from synth.analysis.norms import h2norm, is_stable, verify
 from synth.checks import as_indices, as_number, check_period, numerical, timebase_told
 from synth.equations.lifting import Lifting
-from synth.errors import ModelError, NumericalError, VerificationError
+from synth.errors import ModelError, NumericalError, SynthError, VerificationError
 from synth.systems.generalized import GeneralizedPlant
+from synth.systems.sampled import c2d
 from synth.systems.statespace import StateSpace, as_system
 from synth.systems.timebase import retimed
 from synth.threads import one_thread
 
 STEPS = 100  # of the level, until both bounds are near enough; about eight are used
-SAME = 1e-9  # relative difference of two sampling times that is none
+TOLERANCE = 1e-6  # relative distance of the bounds
+SAME = 1e-9  # relative difference of sampling times and of matrices that is none
 
 
 class SampledNorm(NamedTuple):
@@ -44,7 +46,7 @@ class SampledNorm(NamedTuple):
 @one_thread
 @numerical
 def sdhinfnorm(
-    P: Any, K: Any, h: float | None = None, *, delay: float = 0.0, held: Any = None, tol: float = 1e-6
+    P: Any, K: Any, h: float | None = None, *, delay: float = 0.0, held: Any = None, tol: float = TOLERANCE
 ) -> SampledNorm:
     """H-infinity norm of a continuous plant with a discrete controller, between the samples too.
 
@@ -147,6 +149,31 @@ def lifted(P: GeneralizedPlant, h: float, delay: float, held: Any) -> Lifting:
             "between the samples"
         )
     return Lifting.of(P, h, delay, tuple(sorted({*alone, *named})))
+
+
+def intersample(P: GeneralizedPlant, K: StateSpace, delay: float = 0.0) -> SampledNorm | None:
+    """Bounds of the norm that a controller of a sampled plant has between the samples, a w that reaches y held.
+
+    None where the plant remembers no continuous one, or has been changed since, and where it cannot be told.
+    """
+    if P.continuous is None or not is_sample(P, P.continuous):
+        return None
+    try:
+        return bounds(lifted(P.continuous, P.dt, delay, "all"), K, TOLERANCE)
+    except (SynthError, np.linalg.LinAlgError):
+        return None
+
+
+def is_sample(P: GeneralizedPlant, origin: GeneralizedPlant) -> bool:
+    """Whether a discrete plant is what `c2d` makes of a continuous one, to rounding."""
+    if P.dt is True or P.sizes != origin.sizes:
+        return False
+    try:
+        ours, theirs = P.system, c2d(origin, P.dt).system
+    except (SynthError, np.linalg.LinAlgError):
+        return False
+    pairs = [(getattr(ours, name), getattr(theirs, name)) for name in "ABCD"]
+    return all(np.abs(M - N).max(initial=0.0) <= SAME * np.abs(N).max(initial=0.0) for M, N in pairs)
 
 
 def wide(lifting: Lifting) -> tuple[GeneralizedPlant, float]:

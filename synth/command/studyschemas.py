@@ -205,6 +205,7 @@ class Specifications(Record):
 
     ratio: Positive | None = None
     delay_ratio: Positive | None = None
+    intersample_ratio: Positive | None = None
     gain_margin_db: NotNegative | None = None
     phase_margin_deg: NotNegative | None = None
     delay_margin_samples: NotNegative | None = None

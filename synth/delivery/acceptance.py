@@ -8,6 +8,7 @@ a bare controller, the norm is reported and "not judged", and the gate rests on 
     zero-order hold       a continuous design: plant held, controller by Tustin's method, at the sampling time given
     co-simulation unit    where asked (form="fmu"): outputs come a sample after the inputs, and all lines below see them
                           so: the plant's commands pass a sample of delay
+    between the samples   where the continuous plant is known: the norm of `sdhinfnorm`, w that reaches y held
     one sample of delay   the command acts one sample later
     float32 numbers       every coefficient rounded to single precision, exact arithmetic
     float32 arithmetic    simulated beside float64, both as the exported C steps: largest difference of the commands
@@ -33,6 +34,7 @@ from typing import Any
 import numpy as np
 
 from synth.analysis.norms import is_stable, verify
+from synth.analysis.sampleddata import SampledNorm, intersample
 from synth.analysis.stabilitymargins import Margins, margins
 from synth.checks import as_choice, as_number, check_period, shown, timebase_told
 from synth.delivery.simulation import RETURNED, horizon, short, simulate, starts
@@ -40,6 +42,8 @@ from synth.errors import ExportError, ModelError, SynthError
 from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.sequential import SequentialController, controller_of
 from synth.synthesis.design import Design
+from synth.synthesis.info import SAMPLED
+from synth.synthesis.remarks import BETWEEN
 from synth.systems.connect import delayed, input_delay
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.sampled import c2d
@@ -53,6 +57,7 @@ DIRECT = "not simulated: the plant has a direct term D22, so that measurement an
 HELD = "part of the discrete plant as it was modelled: nothing to measure"
 FORMS = ("controller", "fmu")
 LAG = "outputs are seen one sampling time after the inputs"
+SAMPLES = "at the samples; the level is that of all times, judged below"
 NO_LEVEL = "no level is known; give one (level=) and the norm is judged"
 
 
@@ -62,6 +67,7 @@ class Requirements:
 
     ratio: float = EXACT  # of the norm to the level, as designed; in float32 to the norm before rounding, too
     delay_ratio: float | None = None  # ... with one sample of delay
+    intersample_ratio: float | None = BETWEEN  # ... between the samples, of a discrete design whose plant c2d sampled
     gain_margin_db: float | None = None  # smallest of all loops, one at a time
     phase_margin_deg: float | None = None  # smallest of all loops, one at a time
     delay_margin_samples: float | None = 1.0  # smallest of all loops, one at a time
@@ -70,7 +76,7 @@ class Requirements:
 
     def __post_init__(self):
         for name, value in vars(self).items():
-            if name == "ratio" or (value is not None and name == "delay_ratio"):
+            if name == "ratio" or (value is not None and name in ("delay_ratio", "intersample_ratio")):
                 as_number(name, value, "a positive number", above=0)
             elif value is not None:
                 as_number(name, value, "a number of at least 0, or None for nothing", least=0)
@@ -154,8 +160,9 @@ def accept(
     ----------
     design : Design, or a controller u = K y (positive feedback) that comes without a plant: a state-space system, or
         an `AntiWindup` with the limits and the gain that it has
-    plant : GeneralizedPlant to measure it on; None for the design's own. On a loop-shaping design's own plant W2 G W1
-        it is Ks that is measured, since the file does not hold G; with a plant it is W1 Ks W2
+    plant : GeneralizedPlant to measure it on, for a discrete controller also the continuous one; None for the design's
+        own. On a loop-shaping design's own plant W2 G W1 it is Ks that is measured, since the file does not hold G;
+        with a plant it is W1 Ks W2
     level : the norm that was promised on this plant; None for gamma of a design on its own plant, and for none
         otherwise: then no line that compares with it is judged
     dt : sampling time in s of a continuous design, which is needed: conditions of a processor are those of samples
@@ -190,8 +197,9 @@ def accept(
             "umin and umax limit the command u, but the file of a loop-shaping design holds the shaped plant W2 G W1 "
             "only; pass the plant (gang_of_four(G)) as well"
         )
-    first = _measured("designed", P, K, level, requirements.ratio)
-    lines = [first]
+    between = isinstance(design, Design) and plant is None and design.info.method == SAMPLED
+    first = _measured("designed", P, K, level, None if between else requirements.ratio)
+    lines, continuous = [first], P.dt == 0
     if P.dt == 0:
         if dt is None:
             raise ModelError("the design is continuous; pass dt, the sampling time in s at which it will run")
@@ -201,11 +209,17 @@ def accept(
         if dt is not None and not np.isclose(dt, P.dt):
             raise ModelError(f"dt = {shown(dt)} is given, but the design has {timebase_told(P.dt)}; leave dt away")
         lines.append(Condition("zero-order hold", first.passed is not False, note=HELD, required=False))
+    if between:  # whose level is not that of the samples
+        lines[0] = replace(first, passed=first.norm is not None, ratio=None, note=first.note or SAMPLES, required=False)
+    norm = intersample(P, K, P.dt if form == "fmu" else 0.0)
     if form == "fmu":
         P = lagging(P)
         lines.append(_measured("co-simulation unit", P, K, level, requirements.delay_ratio, LAG))
     held = next((c.norm for c in reversed(lines) if c.norm is not None), None)
     as_it_is = all(c.stable is not False for c in lines)
+    if norm is not None:
+        limit = None if continuous else requirements.ratio if between else requirements.intersample_ratio
+        lines.append(_between(norm, level, limit))
     lines.append(_measured("one sample of delay", P, delayed(K), level, requirements.delay_ratio))
     lines += _single_precision(P, K, level, held, requirements.ratio)
     if umin is not None or umax is not None:
@@ -229,6 +243,8 @@ def _loop(design: Any, plant: Any) -> tuple[GeneralizedPlant, StateSpace, float 
             "the controller comes without a plant; pass a GeneralizedPlant (gang_of_four(G) for a plain G)"
         )
     K = design.controller if isinstance(design, Design) else as_system("the controller", design, plant.dt)
+    if plant.dt == 0 and K.discrete and K.dt is not True:
+        plant = c2d(plant, K.dt)
     dt = common_timebase(plant.system, K)
     plant, K = retimed(plant, dt), retimed(K, dt)
     _, _, m, _, p = plant.sizes
@@ -245,9 +261,7 @@ def inner(P: GeneralizedPlant) -> StateSpace:
 
 def sampled(P: GeneralizedPlant, dt: float) -> GeneralizedPlant:
     """A continuous plant with all inputs held over `dt` s and all outputs sampled."""
-    _, _, m, _, p = P.sizes
-    held = GeneralizedPlant.partition(c2d(P.system, dt), p, m)
-    return replace(held, w=P.w, u=P.u, z=P.z, y=P.y, units=P.units)
+    return c2d(P, dt)
 
 
 def lagging(P: GeneralizedPlant) -> GeneralizedPlant:
@@ -275,6 +289,18 @@ def _measured(
     if ratio is None:
         return Condition(name, None, True, norm, note=NO_LEVEL)
     return Condition(name, False, True, norm, ratio, f"at most {limit:g} is required")
+
+
+def _between(found: SampledNorm, level: float | None, limit: float | None) -> Condition:
+    """What the loop does at all times."""
+    name, norm, note = "between the samples", found.upper, ""
+    if not np.isfinite(norm):
+        return Condition(name, False, False, note="the loop is unstable")
+    ratio = None if level is None else _over(norm, level)
+    passed = True if limit is None else None if ratio is None else ratio <= limit
+    if not passed:
+        note = NO_LEVEL if ratio is None else f"at most {limit:g} is required"
+    return Condition(name, passed, True, norm, ratio, note)
 
 
 def _over(norm: float, level: float) -> float:

@@ -29,6 +29,7 @@ from synth.errors import ModelError
 from synth.files import SEAL, check_seal, json_of, read_json, write_atomically
 from synth.regulators.antiwindup import AntiWindup
 from synth.synthesis import design as designs
+from synth.synthesis import plantdata
 from synth.synthesis.design import Design
 from synth.systems.connect import input_delay
 from synth.systems.generalized import GeneralizedPlant
@@ -148,7 +149,7 @@ def as_model(data: dict[str, Any]) -> GeneralizedPlant | Model:
     units = dict(data.get("units", {}))
     try:
         if form == "B1":
-            return GeneralizedPlant(**parts, **names, units=units)
+            return plantdata.from_dict({**parts, **names, "units": units, "continuous": data.get("continuous")})
         system = StateSpace(**parts) if form == "A" else as_system("the system", parts)
         if "delay" in data:
             system = input_delay(system, data["delay"])
@@ -189,11 +190,12 @@ def save_system(path: str | os.PathLike[str], model: Model | StateSpace | Genera
     model = Model(model) if isinstance(model, StateSpace) else model
     if isinstance(model, Model) and model.limited:
         raise ModelError("the controller has limits and anti-windup, which no system has; write it with `export`")
-    nine = isinstance(model, GeneralizedPlant)
-    source = model if nine else model.system
-    data: dict[str, Any] = {"format": SYSTEM, "format_version": FORMAT_VERSION, "dt": source.dt}
-    data |= {name: getattr(source, name).tolist() for name in (NINE if nine else "ABCD")}
-    data |= {key: getattr(model, key) for key in ((*LABELS, "units") if nine else ("u", "y", "units"))}
+    data: dict[str, Any] = {"format": SYSTEM, "format_version": FORMAT_VERSION}
+    if isinstance(model, GeneralizedPlant):
+        data |= plantdata.to_dict(model)
+    else:
+        data |= {"dt": model.system.dt} | {name: getattr(model.system, name).tolist() for name in "ABCD"}
+        data |= {key: getattr(model, key) for key in ("u", "y", "units")}
     return write_atomically(path, json.dumps(data, indent=1, allow_nan=False).encode())
 
 

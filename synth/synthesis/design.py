@@ -10,7 +10,7 @@ import html
 import json
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,14 +18,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from synth.analysis.norms import judge
+from synth.analysis.sampleddata import SampledNorm, intersample
 from synth.analysis.stabilitymargins import Margins, margins
 from synth.checks import as_path, printable, timebase_told
 from synth.errors import ModelError, SynthError, VerificationError
 from synth.files import PARTS, SEAL, check_seal, read_json, sealed_by_parts, write_atomically
 from synth.synthesis import info as infos
+from synth.synthesis import plantdata
 from synth.synthesis.convention import ERROR, sampling, sign
-from synth.synthesis.info import Info
-from synth.synthesis.remarks import floored, poor, words
+from synth.synthesis.info import SAMPLED, Info
+from synth.synthesis.remarks import between, floored, poor, words
 from synth.systems.connect import series
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace
@@ -67,7 +69,7 @@ class Design:
     plant: GeneralizedPlant
     controller: StateSpace  # u = K y, positive feedback
     closed_loop: StateSpace  # w -> z
-    gamma: float  # H-infinity norm of the closed loop, measured by two independent methods
+    gamma: float  # H-infinity norm of the closed loop, by two independent methods; of `sdhinfsyn` between samples too
     info: Info
     shaping: Shaping | None = None  # of a loop-shaping design, whose Ks (not `controller`) closes `plant`
 
@@ -117,12 +119,30 @@ class Design:
         dt = timebase_told(self.plant.dt)
         return printable(
             f"Design(order {self.controller.n} controller, {ny} measurements, {nu} controls, {dt}; plant order {n}\n"
-            f"       gamma {self.gamma:.7g}, the verified norm, at {self.info.frequency:.4g} rad/s{self._claim},"
-            f" method {self.info.method!r}, {self.info.seconds:.2f} s"
+            f"       gamma {self.gamma:.7g}, the verified norm{self._where}, at {self.info.frequency:.4g} rad/s"
+            f"{self._claim}, method {self.info.method!r}, {self.info.seconds:.2f} s"
+            + (f"\n       between the samples: {self._between.upper:.7g}" if self._between else "")
             + (f"\n       margins: {words(self.margins)}" if self.margins else "")
             + "".join(f"\n       warning: {text}" for text in self.warnings)
             + ")"
         )
+
+    @property
+    def _where(self) -> str:
+        return " between the samples too" if self.info.method == SAMPLED else ""
+
+    @property
+    def _between(self) -> SampledNorm | None:
+        """The norm between the samples, where it is known and another than `gamma`."""
+        return None if self._where else self.intersample
+
+    @cached_property
+    def intersample(self) -> SampledNorm | None:
+        """Bounds of the norm between the samples too, of a plant that `c2d` sampled; a w that reaches y is held.
+
+        None where the plant remembers no continuous one, and where doubles cannot tell.
+        """
+        return intersample(self.plant, self.closing)
 
     @property
     def _claim(self) -> str:
@@ -142,14 +162,16 @@ class Design:
     def warnings(self) -> tuple[str, ...]:
         """What must be known before this controller is used: of the search, of the margins, of the weights."""
         floor = () if self.shaping else floored(self.plant, self.gamma)
-        return (*self.info.warnings, *poor(self.margins), *floor)
+        return (*self.info.warnings, *poor(self.margins), *between(self._between, self.gamma), *floor)
 
     @property
     def facts(self) -> dict[str, str]:
         """The design at a glance, in words: what a card or a table shows of it."""
         facts = {"order": f"{self.controller.n} (plant {self.plant.sizes[0]})"}
         facts |= {"sampling time": timebase_told(self.plant.dt).removeprefix("dt = ")}
-        facts |= {"verified norm": f"{self.gamma:.7g}"}
+        facts |= {f"verified norm{self._where}": f"{self.gamma:.7g}"}
+        if self._between:
+            facts |= {"norm between the samples": f"{self._between.upper:.7g}"}
         if self.info.optimum is not None:
             facts |= {"optimum claimed": f"{self.info.optimum:.7g}"}
         beyond = not self.plant.dt and self.info.frequency > INFINITE * np.abs(self.closed_loop.poles()).max(initial=0)
@@ -220,7 +242,17 @@ class Design:
         return LinearController.of(self.controller)
 
     def certify(self, *, lower: float | None = None, upper: float | None = None) -> Certificate:
-        """Prove both bounds of the norm in ball arithmetic; see `synth.proof.certify.certify`."""
+        """Prove both bounds of the norm in ball arithmetic; see `synth.proof.certify.certify`.
+
+        Raises
+        ------
+        ModelError : a design by `sdhinfsyn`, of whose norm the samples are a part only.
+        """
+        if self.info.method == SAMPLED:
+            raise ModelError(
+                "the design's gamma is the norm between the samples, which cannot be proved yet; prove that of the "
+                "samples: hinfsyn(plant) or certify a design that has it"
+            )
         from synth.proof.certify import certify
 
         return certify(self, lower=lower, upper=upper)
@@ -244,7 +276,6 @@ class Design:
 
 def to_dict(design: Design) -> dict[str, Any]:
     """The design as plain data, complete and exact, with a sha256 of all of it and of its parts."""
-    plant = {f.name: getattr(design.plant, f.name) for f in fields(design.plant)}
     data = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -254,17 +285,13 @@ def to_dict(design: Design) -> dict[str, Any]:
         "dt": design.plant.dt,
         "gamma": design.gamma,
         "verified_norm": design.verified_norm,
-        "plant": {k: v.tolist() if isinstance(v, np.ndarray) else _plain(v) for k, v in plant.items()},
+        "plant": plantdata.to_dict(design.plant),
         "plant_sha256": design.plant.system.digest(),
         "info": infos.to_dict(design.info),
     }
     if design.shaping is not None:
         data["shaping"] = {name: _system_to_dict(getattr(design.shaping, name)) for name in SHAPING}
     return sealed_by_parts(data)
-
-
-def _plain(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value
 
 
 def json_bytes(design: Design) -> bytes:
@@ -304,7 +331,7 @@ def from_dict(data: Any) -> Design:
     kind = schemas.SealedDesign if version == FORMAT_VERSION else schemas.Design
     mistakes.check(kind, data, "the design is incomplete or damaged")
     try:
-        plant = GeneralizedPlant(**data["plant"])
+        plant = plantdata.from_dict(data["plant"])
     except ModelError as error:
         raise ModelError(f"the design is incomplete or damaged: plant: {error}") from None
     controller = _system_from_dict("controller", data["controller"], data["dt"])
@@ -317,11 +344,14 @@ def from_dict(data: Any) -> Design:
     if shaping and not _equal(shaping.controller, controller):
         raise ModelError("controller is not the W1 Ks W2 of the shaping in the file: one of them was changed")
     closed_loop, measured = judge(plant, shaping.Ks if shaping else controller)
+    found = measured.norm
+    if info.method == SAMPLED:
+        if (between_samples := intersample(plant, controller)) is None:
+            raise ModelError("the design is incomplete or damaged: it has no continuous plant, of which its norm is")
+        found = between_samples.upper
     for name, claimed in (("gamma", gamma), ("verified_norm", norm)):
-        if not abs(measured.norm - claimed) <= REMEASURE * claimed + measured.rounding:
-            raise VerificationError(
-                f"the file claims a norm of {claimed:.9g} ({name}), measured is {measured.norm:.9g}"
-            )
+        if not abs(found - claimed) <= REMEASURE * claimed + measured.rounding:
+            raise VerificationError(f"the file claims a norm of {claimed:.9g} ({name}), measured is {found:.9g}")
     radius = measured.spectral_radius
     if radius != info.spectral_radius and not (
         abs(radius - info.spectral_radius) <= POLES * np.abs(measured.poles).max(initial=0.0)

@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 
+SAMPLED = "sampled-data"  # the method of a design whose norm is that between the samples too
+
 
 @dataclass(frozen=True)
 class Info:
     """How a design came about, and what the judge measured."""
 
-    method: str  # the route that answered: "lmi", "riccati", "standard", "extended"
+    method: str  # the route that answered: "lmi", "riccati", "standard", "extended", "sampled-data"
     status: str  # the solver's own word, which is no proof
     level: float  # the level the controller was designed for
     optimum: float | None  # what the solver claims to be possible, which is no proof; None when it was not looked for

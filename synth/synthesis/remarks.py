@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from synth.analysis.sampleddata import SampledNorm
 from synth.analysis.stabilitymargins import Margins
 from synth.equations.parrott import parrott_parts
 from synth.systems.generalized import GeneralizedPlant
@@ -13,6 +14,7 @@ from synth.systems.generalized import GeneralizedPlant
 LEAST_GAIN = 6.0  # dB
 LEAST_PHASE = 30.0  # deg
 LEAST_DELAY = 1.0  # samples
+BETWEEN = 1.05  # of the norm: what happens between the samples may be that much larger
 NEAR_FLOOR = 1.1  # of Parrott's bound: a level up to here is made by the weights
 
 
@@ -36,6 +38,16 @@ def poor(m: Margins | None) -> Iterator[str]:
         yield f"the phase margin is {m.phase_deg:.3g} deg, below {LEAST_PHASE:g} deg"
     if m.dt and m.delay < LEAST_DELAY * m.dt:
         yield f"the delay margin is {m.delay / m.dt:.3g} samples: the loop is unstable with one sample of delay"
+
+
+def between(norm: SampledNorm | None, gamma: float) -> Iterator[str]:
+    """A warning where the loop does more between the samples than at them."""
+    if norm is not None and norm.upper > BETWEEN * gamma:
+        more = f"{100 * (norm.upper / gamma - 1):.3g} % above gamma" if gamma else "gamma is zero"
+        yield (
+            f"between the samples the norm is {norm.upper:.4g}, {more}: sample faster, or design for it with "
+            "sdhinfsyn(plant.continuous, h)"
+        )
 
 
 def floored(P: GeneralizedPlant, gamma: float) -> Iterator[str]:

@@ -17,7 +17,18 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
-from synth.checks import as_array, as_matrix, as_names, as_texts, as_timebase, as_units, as_weight, as_whole, restore
+from synth.checks import (
+    as_array,
+    as_matrix,
+    as_names,
+    as_texts,
+    as_timebase,
+    as_units,
+    as_weight,
+    as_whole,
+    restore,
+    shown,
+)
 from synth.errors import ModelError
 from synth.systems.connect import lft, series
 from synth.systems.statespace import StateSpace, as_system, as_systems, common_timebase, repeated
@@ -49,6 +60,7 @@ class GeneralizedPlant:
     z: tuple[str, ...] = ()  # (nz) names
     y: tuple[str, ...] = ()  # (ny) names
     units: Mapping[str, str] = field(default_factory=dict)  # channel name -> unit, for exported files
+    continuous: GeneralizedPlant | None = None  # the plant that `c2d` sampled: what is between the samples
     __setstate__ = restore
 
     def __post_init__(self):
@@ -78,6 +90,12 @@ class GeneralizedPlant:
         if unknown:
             raise ModelError(f"units are given for {sorted(unknown)}, which are no channels of the plant")
         object.__setattr__(self, "units", dict(self.units))
+        origin = self.continuous
+        if origin is not None and not (isinstance(origin, GeneralizedPlant) and origin.dt == 0 and self.dt > 0):
+            raise ModelError(
+                f"continuous is {shown(origin)}; it is the continuous GeneralizedPlant that a discrete one was sampled "
+                "from, which c2d sets: leave it away"
+            )
 
     @property
     def sizes(self) -> tuple[int, int, int, int, int]:

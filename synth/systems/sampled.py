@@ -44,6 +44,17 @@ INDEPENDENT = 1e-2  # smallest singular value of D12, its columns of length one,
 def c2d(G: UncertainSystem, dt: float, method: str = "zoh", *, tol: float = 1e-9) -> UncertainSystem: ...
 @overload
 def c2d(
+    G: GeneralizedPlant,
+    dt: float,
+    method: str = ...,
+    *,
+    prewarp: Any = ...,
+    delay: Any = ...,
+    output_delay: Any = ...,
+    tol: float = ...,
+) -> GeneralizedPlant: ...
+@overload
+def c2d(
     G: Any,
     dt: float,
     method: str = "zoh",
@@ -75,8 +86,8 @@ def c2d(
 
     Parameters
     ----------
-    G : continuous system, in any form that `system` takes, or an uncertain one, whose `"tustin"` and `"midpoint"` are
-        exact in the parameters; so is its hold equivalent where the exponential series ends, as of rigid bodies, and
+    G : continuous system, in any form that `system` takes; a GeneralizedPlant stays one, `continuous` is then what
+        "zoh" without delay made it of; or an uncertain one, whose `"tustin"` and `"midpoint"` are exact in the parameters; so is its hold equivalent where the exponential series ends, as of rigid bodies, and
         where parameters are in B, C and D alone. Others become polynomials with `remainders`: each entry is off by a
         proved amount at most on the whole box, which every connection keeps and every proof takes in
     dt : sampling time in seconds, positive
@@ -100,6 +111,8 @@ def c2d(
 
     References: Franklin, Powell and Workman (1998), Digital Control of Dynamic Systems, chapters 4 and 6.
     """
+    if isinstance(G, GeneralizedPlant):
+        return _generalised(G, dt, method, prewarp=prewarp, delay=delay, output_delay=output_delay, tol=tol)
     G = G if isinstance(G, UncertainSystem) else as_system("G", G)
     if G.discrete:
         raise ModelError(f"the system G is already discrete ({timebase_told(G.dt)}); c2d takes a continuous one")
@@ -118,6 +131,15 @@ def c2d(
     if method in HOLDS and (method != "zoh" or any(line.any() for each in late for line in each)):
         return held(G, dt, method, *late)
     return waiting(matched(G, dt) if method == "matched" else _mapped(G, dt, method, rate), method, *late)
+
+
+def _generalised(P: GeneralizedPlant, dt: float, method: str, **options: Any) -> GeneralizedPlant:
+    """A plant with all its inputs and outputs."""
+    _, _, m, _, p = P.sizes
+    found = GeneralizedPlant.partition(c2d(StateSpace(*P.system.matrices, P.dt), dt, method, **options), p, m)
+    late = np.any(options["delay"]) or np.any(options["output_delay"])
+    origin = P if method == "zoh" and not late else None
+    return replace(found, w=P.w, u=P.u, z=P.z, y=P.y, units=P.units, continuous=origin)
 
 
 def _mapped(G: StateSpace, dt: float, method: str, rate: float) -> StateSpace:

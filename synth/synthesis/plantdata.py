@@ -1,0 +1,40 @@
+"""A generalised plant as plain data, with the continuous one that it was sampled from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from synth.analysis.sampleddata import is_sample
+from synth.errors import ModelError
+from synth.systems.generalized import GeneralizedPlant
+
+
+def to_dict(P: GeneralizedPlant) -> dict[str, Any]:
+    """Matrices, timebase, names and units; the continuous plant if it is still the one that was sampled."""
+    values = {f.name: getattr(P, f.name) for f in fields(P) if f.name != "continuous"}
+    data = {key: value.tolist() if isinstance(value, np.ndarray) else _plain(value) for key, value in values.items()}
+    return data | ({"continuous": to_dict(P.continuous)} if P.continuous and is_sample(P, P.continuous) else {})
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def from_dict(data: Mapping[str, Any]) -> GeneralizedPlant:
+    """The inverse of `to_dict`.
+
+    Raises
+    ------
+    ModelError : it is no plant, or not the continuous one sampled.
+    """
+    if data.get("continuous") is None:
+        return GeneralizedPlant(**data)
+    origin = from_dict(data["continuous"])
+    plant = GeneralizedPlant(**{**data, "continuous": origin})
+    if not is_sample(plant, origin):
+        raise ModelError("it is not its continuous plant, sampled: one of them was changed")
+    return plant
