@@ -89,6 +89,7 @@ def facts(item: Design | GeneralizedPlant | Model) -> dict[str, Any]:
         "regulated": labels(P.z, P.units),
         "gamma": item.gamma,
         "verified_norm": item.verified_norm,
+        **({"intersample_norm": item.intersample.upper} if item.intersample else {}),
         "optimum": about.optimum,
         "peak_frequency": about.frequency,
         "spectral_radius" if P.dt else "largest_real_part": about.spectral_radius,

@@ -106,6 +106,8 @@ def _facts(design: Design) -> dict[str, str]:
         "date": info.date,
         "versions": ", ".join(f"{name} {version}" for name, version in info.versions.items()),
     }
+    if design.intersample is not None:
+        facts["between the samples"] = f"H-infinity norm {design.intersample.upper!r} with the continuous plant"
     if design.shaping is not None:
         facts["weights"] = f"W1 sha256 {design.shaping.W1.digest()}, W2 sha256 {design.shaping.W2.digest()}"
     return facts

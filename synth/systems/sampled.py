@@ -87,14 +87,14 @@ def c2d(
     Parameters
     ----------
     G : continuous system, in any form that `system` takes; a GeneralizedPlant stays one, `continuous` is then what
-        "zoh" without delay made it of; or an uncertain one, whose `"tustin"` and `"midpoint"` are exact in the parameters; so is its hold equivalent where the exponential series ends, as of rigid bodies, and
-        where parameters are in B, C and D alone. Others become polynomials with `remainders`: each entry is off by a
+        "zoh" without delay made it of; or an uncertain one, whose `"tustin"` and `"midpoint"` are exact in the
+        parameters; so is its hold equivalent where the exponential series ends, as of rigid bodies, and where
+        parameters are in B, C and D alone. Others become polynomials with `remainders`: each entry is off by a
         proved amount at most on the whole box, which every connection keeps and every proof takes in
     dt : sampling time in seconds, positive
     method : one of these six; of uncertain systems "zoh", "tustin" or "midpoint". The last is E (x+ - x) =
         dt (A (x+ + x)/2 + B u) with u held: the hold equivalent itself of double integrators, such as the axes of a
-        body at rest, and off it by (A dt)^3/12 to third order of others: what is proved of it is then proved of that
-        model
+        body at rest, off it by (A dt)^3/12 to third order of others: what is proved of it is proved of that model
     prewarp : rad/s, below pi/dt: where `"tustin"` keeps the frequency response; at rest when left out
     delay : s, () or (m,), by which the inputs act later; any with the exact methods, whole periods with the others. The
         states of whole samples come before those of G

@@ -1,6 +1,7 @@
 """Designs for all times: the flexible satellite, random plants, files, the gate, and what must be refused."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,11 +16,13 @@ from synth import (
     StateSpace,
     accept,
     c2d,
+    export,
     hinfnorm,
     hinfsyn,
     sdhinfnorm,
     sdhinfsyn,
 )
+from synth.command.look import facts
 from synth.delivery.modelfiles import read, save_system
 from synth.synthesis.plantdata import from_dict, to_dict
 
@@ -63,11 +66,14 @@ def test_a_design_for_the_samples_of_a_flexible_satellite_is_worse_between_them(
         assert hinfsyn(plant).intersample.upper < 1.03 * sdhinfsyn(satellite(h), h).gamma
 
 
-def test_what_is_between_the_samples_is_told(designs):
+def test_what_is_between_the_samples_is_told(designs, tmp_path):
     held, sampled = designs
     assert "between the samples: 1.2" in repr(held)
     assert any("60." in text and "sdhinfsyn(plant.continuous, h)" in text for text in held.warnings)
     assert held.facts["norm between the samples"].startswith("1.21")
+    assert facts(held)["intersample_norm"] == held.intersample.upper
+    export(held, "c", tmp_path, name="held", allow_unstable=True)
+    assert repr(held.intersample.upper) in (tmp_path / "held.h").read_text()
     assert "between the samples too" in repr(sampled)
     assert not any("between" in text for text in sampled.warnings)
     assert "verified norm between the samples too" in sampled.facts
@@ -170,3 +176,11 @@ def test_what_cannot_be_designed_for_is_refused():
     )  # fmt: skip
     with pytest.raises(AssumptionError):
         sdhinfsyn(hidden, 1.0)
+
+
+def test_the_program_of_the_page_runs(capsys):
+    page = (Path(__file__).parents[3] / "docs" / "sampled_data.md").read_text()
+    names: dict = {}
+    exec(compile(page.split("```python\n")[1].split("```")[0], "sampled_data.md", "exec"), names)
+    assert "warning: between the samples" in capsys.readouterr().out
+    assert names["better"].gamma < 0.6 * names["design"].intersample.lower
