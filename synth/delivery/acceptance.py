@@ -218,7 +218,8 @@ def accept(
     held = next((c.norm for c in reversed(lines) if c.norm is not None), None)
     as_it_is = all(c.stable is not False for c in lines)
     if norm is not None:
-        limit = None if continuous else requirements.ratio if between else requirements.intersample_ratio
+        limit = requirements.ratio if between else requirements.intersample_ratio
+        limit = requirements.delay_ratio if form == "fmu" else None if continuous else limit
         lines.append(_between(norm, level, limit))
     lines.append(_measured("one sample of delay", P, delayed(K), level, requirements.delay_ratio))
     lines += _single_precision(P, K, level, held, requirements.ratio)

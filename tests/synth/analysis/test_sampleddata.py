@@ -216,8 +216,8 @@ def test_neither_coordinates_nor_units_nor_time_matter(seed, x, time, u, y, z):
     rng = np.random.default_rng(seed)
     n, t, a, b, c = len(P.A), 10.0**time, 10.0**u, 10.0**y, 10.0**z
     Q = np.linalg.qr(rng.normal(size=(n, n)))[0]
-    T = (10.0 ** rng.uniform(-abs(x), abs(x), n))[:, None] * Q
-    Ti = np.linalg.inv(T)
+    T = (10.0 ** rng.uniform(-abs(x) / 3, abs(x) / 3, n))[:, None] * Q  # from 1e4 on the data itself lose digits
+    T, Ti = T * (scales := 2.0 ** rng.integers(-30, 31, n)), np.linalg.inv(T) / scales[:, None]
     moved = replace(
         P, A=Ti @ P.A @ T / t, B1=Ti @ P.B1 / t, B2=Ti @ P.B2 * a / t, C1=c * P.C1 @ T, D12=c * a * P.D12,
         C2=b * P.C2 @ T, D11=c * P.D11,
