@@ -17,6 +17,7 @@ from synth import (
     c2d,
     h2norm,
     hinfnorm,
+    lqrd,
     sdh2norm,
     sdhinfnorm,
     system,
@@ -260,6 +261,23 @@ def test_double_integrators(bandwidth):
     found = sdhinfnorm(P, K).upper
     assert found == pytest.approx(hinfnorm(fast_sampled(P, K, 32))[0], rel=1e-4)
     assert found == pytest.approx(bandwidth**-2, rel=0.2 * bandwidth + 2 * TOL)
+
+
+def test_no_gain_of_the_samples_has_a_smaller_h2_norm_than_that_of_lqrd():
+    """White noise on all states, z the cost: the norm is stationary and least at the sampled-data regulator."""
+    rng = np.random.default_rng(4)
+    A, B, h, Z, I = rng.normal(size=(3, 3)), rng.normal(size=(3, 2)), 0.4, np.zeros, np.eye
+    P = GeneralizedPlant(
+        A=A, B1=I(3), B2=B, C1=np.vstack([I(3), Z((2, 3))]), D11=Z((5, 3)), D12=np.vstack([Z((3, 2)), 0.5 * I(2)]),
+        C2=I(3), D21=Z((3, 3)), D22=Z((3, 2)),
+    )  # fmt: skip
+    K = -lqrd(A, B, I(3), 0.25 * I(2), h)[0]
+    least = sdh2norm(P, K, h)
+    for _ in range(6):
+        step = 1e-3 * rng.normal(size=K.shape)
+        up, down = (sdh2norm(P, K + sign * step, h) for sign in (1, -1))
+        assert min(up, down) > least
+        assert abs(up - down) < 1e-2 * (up + down - 2 * least)
 
 
 def test_a_whole_period_of_delay_is_a_state_of_the_controller():
