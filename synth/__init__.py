@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from synth.delivery.frequencyplots import sigma as sigma
     from synth.delivery.marginplots import diskmarginplot as diskmarginplot
     from synth.delivery.modelfiles import read as read
+    from synth.delivery.rounding import Rounding as Rounding
+    from synth.delivery.rounding import rounding as rounding
     from synth.delivery.signatures import keygen as keygen
     from synth.delivery.signatures import sign as sign
     from synth.delivery.signatures import verify_signature as verify_signature
@@ -149,6 +151,7 @@ _HOME = {
     "QuaternionModel": "regulators.sdc",
     "Requirements": "delivery.acceptance",
     "SampledNorm": "analysis.sampleddata",
+    "Rounding": "delivery.rounding",
     "Sdre": "regulators.sdre",
     "SdreHinf": "regulators.sdre",
     "SdreHinfPaperLiteral": "regulators.sdre",
@@ -217,6 +220,7 @@ _HOME = {
     "sdh2norm": "analysis.sampleddata",
     "sdhinfnorm": "analysis.sampleddata",
     "sdhinfsyn": "synthesis.sampleddata",
+    "rounding": "delivery.rounding",
     "series": "systems.connect",
     "sigma": "delivery.frequencyplots",
     "sign": "delivery.signatures",

@@ -158,6 +158,7 @@ OF_A_SYSTEM: dict[str, Callable[[Any, float], Any]] = {
     "sdhinfnorm": lambda G, dt: synth.sdhinfnorm(HELD, G).upper
     if dt else synth.sdhinfnorm(weighted(G), 0.3, DT, held=0).upper,
     "sdhinfsyn": lambda G, dt: gamma(synth.sdhinfsyn(weighted(G), DT, 1, 1)) if not dt else 0.0,
+    "rounding": lambda G, dt: synth.rounding(G, inputs=1.0).commands if dt else 0.0,
     "series": lambda G, dt: response(synth.series(G, G)) + response(synth.series(G, 2.0)),
     "sigma": lambda G, dt: curve(synth.sigma(G, omega=OMEGA)),
     "step": lambda G, dt: curve(synth.step(G, time=5.0)),
@@ -249,7 +250,7 @@ RIGHT: dict[str, dict[str, Any]] = {
     "dlqr": {"A": 0.5 * I, "B": I, "Q": I, "R": 1.0, "N": None, "E": None},
     "export": {"design": SAMPLED, "format": "json", "folder": "out", "name": "name", "force": True,
                "allow_unstable": False, "umin": None, "umax": None, "antiwindup": None, "dtype": "double",
-               "self_test": True, "acceptance": None},
+               "inputs": None, "self_test": True, "acceptance": None},
     "feedback": {"G": CONTINUOUS, "K": 0.3, "sign": -1},
     "free_motion": {"G": CONTINUOUS, "x0": [1.0, 0.0], "dt": 0.1, "samples": 3, "held": None},
     "fuel_mpc": {"model": synth.c2d(STRICT, DT), "box": 1.0, "umax": 1.0, "horizon": 3, "settle": 0, "forecast": None,
@@ -291,6 +292,8 @@ RIGHT: dict[str, dict[str, Any]] = {
                        "zone_deg": 5.0},
     "read": {"path": "plant.json"},
     "read_study": {"path": "nothing.toml"},
+    "rounding": {"controller": SAMPLED, "inputs": 1.0, "precision": "float32", "plant": -0.1, "commands": 1.0,
+                 "umin": -1.0, "umax": 1.0, "antiwindup": None},
     "series": {"G": CONTINUOUS, "H": CONTINUOUS},
     "sdhinfsyn": {"P": HELD, "h": DT, "nmeas": 1, "ncon": 1, "tol": 1e-3},
     **{

@@ -256,10 +256,15 @@ def export(options: argparse.Namespace) -> int:
             raise ModelError(f"{file}: --accept needs a design, whose plant it knows; see `synth verify` for others")
         limits = {} if item.shaping else {"umin": umin, "umax": umax}  # u is no signal of a shaped plant
         found = accept(item, dt=None if item.plant.dt else options.dt, **limits)
+    if options.float and options.precision == "double":
+        raise ModelError("--float and --precision double exclude each other; pass one of them")
+    single = options.float or options.precision == "float32"
+    inputs = options.inputs[0] if options.inputs and len(options.inputs) == 1 else options.inputs
     written = write(
         source_of(item), options.format, options.output, name=options.name,
         force=options.force, allow_unstable=options.allow_unstable, umin=umin, umax=umax,
-        antiwindup=gain_of(item, options), dtype="float" if options.float else "double", acceptance=found,
+        antiwindup=gain_of(item, options), dtype="float" if single else "double", inputs=inputs,
+        acceptance=found,
     )  # fmt: skip
     if options.json:
         gate = {} if found is None else {"acceptance": acceptance_data(found)}

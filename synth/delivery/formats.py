@@ -32,6 +32,7 @@ def export(
     umax: Any = None,
     antiwindup: Any = None,
     dtype: str = "double",
+    inputs: Any = None,
     self_test: bool = True,
     acceptance: Acceptance | None = None,
 ) -> tuple[Path, ...]:
@@ -51,6 +52,7 @@ def export(
         a controller with the facts about its design; None for no limit
     antiwindup : (n, m) gain L in x+ = A x + B y + L (u - v) with u = min(max(v, umin), umax); A - L C must be stable
     dtype : "double" or "float", of the C code
+    inputs : number or (p,) bound of |y|, unit of y, under which the files state the bound of `rounding`; None for 1
     acceptance : what `accept` found for this controller, for the files to say; without it they say that it was never
         accepted (json holds the design as it is)
     self_test : put a stored trace and its bitwise comparison into the C source, compiled in with -DNAME_SELF_TEST
@@ -74,13 +76,16 @@ def export(
     for flag, given in (("force", force), ("allow_unstable", allow_unstable), ("self_test", self_test)):
         as_flag(flag, given)
     accepted = NEVER if acceptance is None else _verdict(design, acceptance)
-    options = {"umin": umin, "umax": umax, "antiwindup": antiwindup}
+    options: dict[str, Any] = {"umin": umin, "umax": umax, "antiwindup": antiwindup}
     if format in ("json", "mat"):
+        if inputs is not None:
+            raise ExportError(f"inputs: a {format} file holds the design, not its arithmetic; leave this away")
         if not (isinstance(dtype, str) and dtype == "double"):
             raise ExportError(f"dtype: a {format} file holds the numbers as they are; leave this away")
         files = _documents(design, format, name, accepted, **options)
     else:
-        files = _code(design, format, name, self_test, accepted, dtype=dtype, allow_unstable=allow_unstable, **options)
+        options |= {"dtype": dtype, "allow_unstable": allow_unstable}
+        files = _code(design, format, name, self_test, accepted, inputs, options)
     return write_all(folder, files, force=force)
 
 
@@ -123,16 +128,19 @@ def _limited(design: Any, **options: Any) -> AntiWindup:
     return AntiWindup(K.A, K.B, K.C, K.D, made.L, made.umin, made.umax, K.dt)
 
 
-def _code(design: Any, format: str, name: str, self_test: bool, accepted: str, **options: Any) -> dict[str, bytes]:
+def _code(
+    design: Any, format: str, name: str, self_test: bool, accepted: str, inputs: Any, options: dict[str, Any]
+) -> dict[str, bytes]:
     """The C files, or the FMU made of them."""
     from synth.checks import check_period
     from synth.delivery.c import c_files
     from synth.delivery.origin import origin_of
+    from synth.delivery.rounding import told
     from synth.regulators.sequential import SequentialController
 
     controller = SequentialController.of(design, **options)
     check_period("the controller", controller.dt)
-    origin = origin_of(design, controller, accepted)
+    origin = origin_of(design, controller, accepted, told(design, controller, inputs))
     if format == "c":
         return c_files(controller, origin, name, self_test=self_test)
     from synth.delivery.fmu import fmu_bytes

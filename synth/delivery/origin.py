@@ -40,10 +40,13 @@ class Origin:
     outputs: tuple[Signal, ...]  # (m,)
 
 
-def origin_of(source: Any, exported: SequentialController | AntiWindup | None = None, accepted: str = "") -> Origin:
+def origin_of(
+    source: Any, exported: SequentialController | AntiWindup | None = None, accepted: str = "", arithmetic: str = ""
+) -> Origin:
     """The origin of a Design, or of a controller that comes without a plant.
 
     Where the exported controller is in single precision, the loop is closed with its rounded matrices and measured.
+    `accepted` and `arithmetic` are what the gate and `rounding` found, in words.
 
     Raises
     ------
@@ -69,6 +72,7 @@ def origin_of(source: Any, exported: SequentialController | AntiWindup | None = 
         }
         if isinstance(source, LinearController | AntiWindup):
             facts["input"] = "the error e = r - y"
+    facts |= {"arithmetic": arithmetic} if arithmetic else {}
     facts |= {"acceptance": accepted} if accepted else {}
     facts["exported by"] = f"convex-synth {metadata.version('convex-synth')}"
     origin = Origin(facts, inputs, outputs)

@@ -1,0 +1,77 @@
+"""Exported controllers replayed in C beside exact arithmetic, that of long doubles, on inputs that try them hard."""
+
+import ctypes
+from pathlib import Path
+
+import numpy as np
+from exported import gcc
+
+from synth.systems.statespace import StateSpace
+
+BESIDE = """
+typedef int (*step_function)(void *, const REAL *, REAL *);
+
+/* The largest |u - exact u| over the steps; y has `samples` rows, which are repeated. */
+void beside(step_function step, int n, int p, int m, const double *A, const double *B, const double *C,
+            const double *D, const double *y, long samples, long steps, double *worst)
+{
+    REAL state[256] = { 0 }, in[64], u[64];
+    long double x[256] = { 0 }, next[256];
+    for (int i = 0; i < m; ++i) worst[i] = 0;
+    for (long k = 0; k < steps; ++k) {
+        const double *now = y + (k % samples) * p;
+        for (int j = 0; j < p; ++j) in[j] = (REAL)now[j];
+        step(state, in, u);
+        for (int i = 0; i < m; ++i) {
+            long double v = 0;
+            for (int j = 0; j < n; ++j) v += (long double)C[i * n + j] * x[j];
+            for (int j = 0; j < p; ++j) v += (long double)D[i * p + j] * now[j];
+            double off = (double)(v > u[i] ? v - u[i] : u[i] - v);
+            if (!(off <= worst[i])) worst[i] = off;
+        }
+        for (int i = 0; i < n; ++i) {
+            next[i] = 0;
+            for (int j = 0; j < n; ++j) next[i] += (long double)A[i * n + j] * x[j];
+            for (int j = 0; j < p; ++j) next[i] += (long double)B[i * p + j] * now[j];
+        }
+        for (int i = 0; i < n; ++i) x[i] = next[i];
+    }
+}
+"""
+
+
+def difference(source: Path, K: StateSpace, real: str, inputs: np.ndarray, steps: int) -> np.ndarray:
+    """The largest |u - exact u| (m,) of the exported C and of K with its doubles, on inputs (samples, p) repeated."""
+    beside = source.with_name("beside.c")
+    beside.write_text(BESIDE)
+    library = source.with_suffix(".so")
+    gcc("-std=c99", "-O2", f"-DREAL={real}", "-fPIC", "-shared", "-o", library, source, beside)
+    loaded, numbers = ctypes.CDLL(str(library)), ctypes.POINTER(ctypes.c_double)
+    step = ctypes.cast(getattr(loaded, f"{source.stem}_step"), ctypes.c_void_p)
+    arrays = [np.ascontiguousarray(M, float) for M in (*K.matrices, inputs)]
+    worst = np.zeros(K.ny)
+    loaded.beside.argtypes = [ctypes.c_void_p, *[ctypes.c_int] * 3, *[numbers] * 5, *[ctypes.c_long] * 2, numbers]
+    pointers = [M.ctypes.data_as(numbers) for M in arrays]
+    loaded.beside(step, K.n, K.nu, K.ny, *pointers, len(inputs), steps, worst.ctypes.data_as(numbers))
+    return worst
+
+
+def trying(K: StateSpace, bounds: np.ndarray, rng: np.random.Generator, longest: int = 30_000) -> np.ndarray:
+    """Inputs (samples, p) within bounds: those that drive every command and state to its peak, resonances, noise."""
+    radius = np.abs(np.linalg.eigvals(K.A)).max(initial=0.5)
+    length = int(np.clip(12 / (1 - min(radius, 0.99999)), 50, longest))
+    rows, impulse = np.vstack([K.C, np.eye(K.n)]), K.B
+    responses = np.zeros((length, len(rows), K.nu))
+    for k in range(length):
+        responses[length - 1 - k], impulse = rows @ impulse, K.A @ impulse
+    parts = [np.sign(responses[:, i]) for i in range(len(rows))]
+    time = np.arange(length)[:, None]
+    for pole in np.linalg.eigvals(K.A):
+        if np.angle(pole) > 0:
+            for _ in range(10):  # of a whole period, so that errors come again as well
+                period = max(2, round(2 * np.pi / np.angle(pole)))
+                wave = np.sign(np.sin(2 * np.pi * (time + 0.5) / period + rng.uniform(0, 2 * np.pi, K.nu)))
+                parts.append(wave * rng.uniform(0.5, 1, K.nu))
+    parts += [np.tile(rng.uniform(-1, 1, K.nu), (length, 1)) for _ in range(40)]
+    parts += [np.sign(rng.normal(size=K.nu)) * np.ones((length, 1)), rng.uniform(-1, 1, (length, K.nu))]
+    return np.vstack(parts) * bounds

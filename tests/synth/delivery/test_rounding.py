@@ -1,0 +1,131 @@
+"""What rounding does is below its bound, measured on the compiled C, and the bound is not far above."""
+
+import numpy as np
+import pytest
+from literature import cubesat_pecorilla2024
+from replayed import difference, trying
+
+import synth
+from synth.errors import ModelError, NumericalError
+
+NEAR = 50  # times what was measured, which the bound may be
+TYPES = {"double": "double", "float32": "float"}
+INTEGRATOR = synth.StateSpace([[1.0]], [[0.1]], [[1.0]], [[2.0]], 0.1)
+LAG = synth.c2d(synth.system([-1], [1, 1]), 0.1)
+
+
+def random_controller(seed: int) -> synth.StateSpace:
+    """Stable, with rates from one sample to a few thousand, in units of any size, some entries 0 or 1."""
+    rng = np.random.default_rng(seed)
+    n, p, m = rng.integers(0, 7), rng.integers(1, 4), rng.integers(1, 3)
+    blocks, A, k = [], np.zeros((n, n)), 0
+    while k < n:
+        radius = 1 - 10 ** rng.uniform(-3.3, -0.3)
+        if k + 1 < n and rng.random() < 0.5:
+            angle = rng.uniform(0.01, 3)
+            turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+            A[k : k + 2, k : k + 2] = radius * turn
+            blocks, k = [*blocks, 2], k + 2
+        else:
+            A[k, k], k = radius * rng.choice([-1, 1]), k + 1
+    T = np.linalg.qr(rng.normal(size=(n, n)))[0] * 10 ** rng.uniform(-2, 2, n) if rng.random() < 0.7 else np.eye(n)
+    B, C, D = rng.normal(size=(n, p)), rng.normal(size=(m, n)), rng.normal(size=(m, p)) * rng.integers(n == 0, 2)
+    return synth.StateSpace(np.linalg.solve(T, A @ T), np.linalg.solve(T, B), C @ T, D, 0.1)
+
+
+def measured(K, bounds, precision, folder, steps, seed=0):
+    folder.mkdir(exist_ok=True)
+    _, source = synth.export(K, "c", folder, dtype=TYPES[precision], self_test=False, force=True)
+    system = K.controller if isinstance(K, synth.Design) else K
+    inputs = trying(system, bounds, np.random.default_rng(seed))
+    return difference(source, system, TYPES[precision], inputs, steps)
+
+
+@pytest.mark.parametrize("precision", TYPES)
+def test_bound_of_the_cubesats_controller(precision, tmp_path):
+    design, Y = synth.hinfsyn(cubesat_pecorilla2024()), np.array([0.5] * 3 + [0.05] * 3)
+    found = synth.rounding(design, inputs=Y, precision=precision)
+    off = measured(design, Y, precision, tmp_path, 20_000)
+    assert (off <= found.command).all()
+    assert (found.command <= NEAR * off).all()
+    looped = synth.rounding(design, inputs=Y, precision=precision, plant=design.plant)
+    assert looped.output is not None
+    assert (looped.output > 0).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", TYPES)
+def test_bounds_of_fifty_random_controllers_over_a_million_steps(precision, tmp_path):
+    ratios = []
+    for seed in range(50):
+        K = random_controller(seed)
+        Y = 10 ** np.random.default_rng(seed).uniform(-3, 3, K.nu)
+        found = synth.rounding(K, inputs=Y, precision=precision)
+        off = measured(K, Y, precision, tmp_path / str(seed), 1_000_000, seed)
+        assert (off <= found.command).all(), seed
+        ratios.append((found.command / off).max())
+    assert np.median(ratios) <= NEAR
+
+
+def looped(K, G, bounds, precision, seed):
+    """The largest |u - exact u| and |y - exact y| of scalar loops under square waves that keep y and u in bounds."""
+    rng, S = np.random.default_rng(seed), 200
+    low, high = (np.float32, float) if precision == "float32" else (float, np.longdouble)
+    period, size = rng.integers(20, 1000, S), rng.uniform(0.1, 1, S) * 0.45 * bounds[0]
+    (A, B, C, D), (Ap, Bp, Cp, _) = (tuple(M.item() for M in system.matrices) for system in (K, G))
+    a, b, c, d = (low(M) for M in (A, B, C, D))
+    x, p, X, P = np.zeros(S, low), *np.zeros((3, S), high)
+    worst_u = worst_y = largest_u = largest_y = 0.0
+    for k in range(4000):
+        w = size * np.sign(np.sin(2 * np.pi * k / period))
+        y, Y = high(Cp) * p + w, high(Cp) * P + w
+        read = y.astype(low)
+        u, U = c * x + d * read, high(C) * X + high(D) * Y
+        x, X = a * x + b * read, high(A) * X + high(B) * Y
+        p, P = high(Ap) * p + high(Bp) * u.astype(high), high(Ap) * P + high(Bp) * U
+        worst_u, worst_y = max(worst_u, abs(u - U).max()), max(worst_y, abs(y - Y).max())
+        largest_y = max(largest_y, abs(y).max(), abs(Y).max())
+        largest_u = max(largest_u, abs(u).max(), abs(U).max())
+    assert largest_y <= bounds[0]
+    assert largest_u <= bounds[1]
+    return float(worst_u), float(worst_y)
+
+
+@pytest.mark.parametrize("precision", TYPES)
+def test_an_integrator_is_bounded_in_its_loop(precision):
+    found = synth.rounding(INTEGRATOR, inputs=2.0, commands=3.0, plant=LAG, precision=precision)
+    u, y = looped(INTEGRATOR, LAG, (2.0, 3.0), precision, 1)
+    assert u <= found.command.item() <= NEAR * u
+    assert y <= found.output.item() <= NEAR * y
+
+
+def test_an_integrator_alone_has_no_bound():
+    with pytest.raises(ModelError, match="pass plant"):
+        synth.rounding(INTEGRATOR, inputs=1.0)
+    with pytest.raises(ModelError, match="pass commands"):
+        synth.rounding(INTEGRATOR, inputs=1.0, plant=LAG)
+    with pytest.raises(NumericalError, match="not proved stable"):
+        synth.rounding(INTEGRATOR, inputs=1.0, commands=1.0, plant=-LAG)
+
+
+def test_bounds_scale_with_powers_of_two_and_hold_the_commands():
+    K = random_controller(3)
+    one, eight = (synth.rounding(K, inputs=y) for y in (1.0, 8.0))
+    np.testing.assert_allclose(eight.command, 8 * one.command, rtol=1e-12)
+    np.testing.assert_allclose(eight.commands, 8 * one.commands, rtol=1e-12)
+    np.testing.assert_allclose(one.command, one.coefficients + one.arithmetic, rtol=1e-8)
+
+
+def test_the_result_says_whether_a_limit_can_be_reached():
+    K = synth.StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)  # |u| <= 2
+    assert "until a command reaches its limit" in str(synth.rounding(K, inputs=1.0, umin=-1, umax=1))
+    assert "no command reaches its limit" in str(synth.rounding(K, inputs=1.0, umin=-3, umax=3))
+
+
+def test_exported_files_state_the_bound(tmp_path):
+    K = random_controller(3)
+    header, _ = synth.export(K, "c", tmp_path, dtype="float", inputs=2.0)
+    text = " ".join(header.read_text().replace("*", " ").split())
+    assert str(synth.rounding(K, inputs=2.0)) in text
+    header, _ = synth.export(INTEGRATOR, "c", tmp_path, name="other", umin=-1, umax=1, antiwindup=[[0.5]])
+    assert "not bounded: the controller is not proved stable by itself" in " ".join(header.read_text().split())
