@@ -131,9 +131,15 @@ def make_parser() -> argparse.ArgumentParser:
     export.add_argument("--accept", action="store_true", help="put a design through the gate first; the files say so")
     export.add_argument("--dt", type=float, metavar="S", help="with --accept: sampling time of a continuous design")
     export.add_argument("--float", action="store_true", help="single precision, as --precision float32")
-    export.add_argument("--precision", choices=("double", "float32"), help="of C and FMU (default double)")
     export.add_argument(
-        "--inputs", type=float, nargs="+", metavar="Y", help="|y| at most: bound of what rounding does (default 1)"
+        "--precision", choices=("double", "float32", "q15", "q31"), help="of C and FMU (default double)"
+    )
+    export.add_argument(
+        "--inputs",
+        type=float,
+        nargs="+",
+        metavar="Y",
+        help="|y| at most: bound of what rounding does (default 1)",
     )
     add_limits(export)
     export.add_argument("--antiwindup", action="store_true", help="with limits: conditioned loop-shaping controller")

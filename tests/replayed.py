@@ -8,6 +8,7 @@ from exported import gcc
 
 from synth.systems.statespace import StateSpace
 
+NEAR = 50  # times what was measured, which a bound may be
 BESIDE = """
 typedef int (*step_function)(void *, const REAL *, REAL *);
 
@@ -75,3 +76,22 @@ def trying(K: StateSpace, bounds: np.ndarray, rng: np.random.Generator, longest:
     parts += [np.tile(rng.uniform(-1, 1, K.nu), (length, 1)) for _ in range(40)]
     parts += [np.sign(rng.normal(size=K.nu)) * np.ones((length, 1)), rng.uniform(-1, 1, (length, K.nu))]
     return np.vstack(parts) * bounds
+
+
+def random_controller(seed: int) -> StateSpace:
+    """Stable, with rates from one sample to a few thousand, in units of any size, some entries 0 or 1."""
+    rng = np.random.default_rng(seed)
+    n, p, m = rng.integers(0, 7), rng.integers(1, 4), rng.integers(1, 3)
+    blocks, A, k = [], np.zeros((n, n)), 0
+    while k < n:
+        radius = 1 - 10 ** rng.uniform(-3.3, -0.3)
+        if k + 1 < n and rng.random() < 0.5:
+            angle = rng.uniform(0.01, 3)
+            turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+            A[k : k + 2, k : k + 2] = radius * turn
+            blocks, k = [*blocks, 2], k + 2
+        else:
+            A[k, k], k = radius * rng.choice([-1, 1]), k + 1
+    T = np.linalg.qr(rng.normal(size=(n, n)))[0] * 10 ** rng.uniform(-2, 2, n) if rng.random() < 0.7 else np.eye(n)
+    B, C, D = rng.normal(size=(n, p)), rng.normal(size=(m, n)), rng.normal(size=(m, p)) * rng.integers(n == 0, 2)
+    return StateSpace(np.linalg.solve(T, A @ T), np.linalg.solve(T, B), C @ T, D, 0.1)

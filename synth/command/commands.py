@@ -243,6 +243,7 @@ def export(options: argparse.Namespace) -> int:
     from synth.delivery.acceptance import accept
     from synth.delivery.files import made
     from synth.delivery.formats import export as write
+    from synth.delivery.rounding import PRECISIONS
 
     file = options.files[0]
     item = load(file)
@@ -256,14 +257,14 @@ def export(options: argparse.Namespace) -> int:
             raise ModelError(f"{file}: --accept needs a design, whose plant it knows; see `synth verify` for others")
         limits = {} if item.shaping else {"umin": umin, "umax": umax}  # u is no signal of a shaped plant
         found = accept(item, dt=None if item.plant.dt else options.dt, **limits)
-    if options.float and options.precision == "double":
-        raise ModelError("--float and --precision double exclude each other; pass one of them")
-    single = options.float or options.precision == "float32"
+    if options.float and options.precision not in (None, "float32"):
+        raise ModelError(f"--float and --precision {options.precision} exclude each other; pass one of them")
+    precision = "float32" if options.float else options.precision or "double"
     inputs = options.inputs[0] if options.inputs and len(options.inputs) == 1 else options.inputs
     written = write(
         source_of(item), options.format, options.output, name=options.name,
         force=options.force, allow_unstable=options.allow_unstable, umin=umin, umax=umax,
-        antiwindup=gain_of(item, options), dtype="float" if single else "double", inputs=inputs,
+        antiwindup=gain_of(item, options), dtype=PRECISIONS.get(precision, precision), inputs=inputs,
         acceptance=found,
     )  # fmt: skip
     if options.json:

@@ -9,7 +9,7 @@ test, compiled in with ``-DNAME_SELF_TEST``, says whether they do on yours.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -67,7 +67,8 @@ def header(controller: SequentialController, origin: Origin, name: str, self_tes
         parts.append(
             f"#ifdef {N}_SELF_TEST\n"
             "/* Replays a stored trace: 0 if every bit agrees, else the number of the first sample that differs. The\n"
-            " * last samples are not numbers, and must be faults. */\n"
+            " * last samples are not numbers, and must be faults; the number after them is that of the constants,\n"
+            " * whose hash differs. */\n"
             f"int {name}_self_test(void);\n#endif\n"
         )
     return "\n".join([*parts, "#ifdef __cplusplus\n}\n#endif\n", "#endif\n"])
@@ -78,7 +79,7 @@ def source(controller: SequentialController, name: str, self_test: bool) -> str:
     N = name.upper()
     includes = [f'#include "{name}.h"\n', "#include <math.h>\n"]
     if self_test:
-        includes.append(f"#ifdef {N}_SELF_TEST\n#include <string.h>\n#endif\n")
+        includes.append(f"#ifdef {N}_SELF_TEST\n#include <stdint.h>\n#include <string.h>\n#endif\n")
     parts = [*includes, ARITHMETIC, *_matrices(controller, N), _reset(controller, name), _step(controller, name)]
     if self_test:
         parts.append(_self_test(controller, name))
@@ -93,18 +94,28 @@ def _title(controller: SequentialController, origin: Origin, name: str) -> str:
         equations.append("x+ = A x + B y" + (" + L (u - v)" if controller.conditioned else ""))
     lines = [f"{name}: linear controller, {controller.dtype} precision, sample time {controller.dt!r} s", ""]
     lines += ["    " + ",   ".join(equations), ""]
-    lines += [*_signals("y", origin.inputs), "", *_signals("u", origin.outputs, controller), ""]
-    for key, text in origin.facts.items():
-        lines += textwrap.wrap(text, WIDTH - 14, initial_indent=f"{key:12} ", subsequent_indent=" " * 13)
-    lines += ["", f"Use, once every {name.upper()}_SAMPLE_TIME seconds:", ""]
+    lines += [*signals("y", origin.inputs), "", *signals("u", origin.outputs, controller), ""]
+    lines += [*told(origin), "", f"Use, once every {name.upper()}_SAMPLE_TIME seconds:", ""]
     lines += [f"    static {name}_state state;", f"    {name}_reset(&state);      once, before the first sample"]
     lines += [f"    fault = {name}_step(&state, y, u);", ""]
-    lines += textwrap.wrap(HELD, WIDTH)
+    return comment([*lines, *textwrap.wrap(HELD, WIDTH)])
+
+
+def comment(lines: Sequence[str]) -> str:
+    """Lines as a comment in C."""
     body = "\n".join(f" * {line}".rstrip() for line in lines)
     return f"/*\n{body}\n */\n"
 
 
-def _signals(symbol: str, signals: Sequence[Signal], controller: SequentialController | None = None) -> list[str]:
+def told(origin: Origin) -> list[str]:
+    """The facts of an origin, in lines."""
+    lines: list[str] = []
+    for key, text in origin.facts.items():
+        lines += textwrap.wrap(text, WIDTH - 14, initial_indent=f"{key:12} ", subsequent_indent=" " * 13)
+    return lines
+
+
+def signals(symbol: str, signals: Sequence[Signal], controller: SequentialController | None = None) -> list[str]:
     """One line per signal, with its limits if it has some."""
     lines = []
     for i, signal in enumerate(signals):
@@ -117,24 +128,27 @@ def _signals(symbol: str, signals: Sequence[Signal], controller: SequentialContr
 
 def _matrices(controller: SequentialController, N: str) -> list[str]:
     """The constants of the step, those that it needs."""
-    n, dtype = len(controller.A), controller.dtype
-    x, y, u = (f"{N}_{size}" for size in ("STATES", "INPUTS", "OUTPUTS"))
-    tables = []
-    if n:
-        tables += [("A", controller.A, x, x, "x"), ("B", controller.B, x, y, "y")]
-        tables += [("C", controller.C, u, x, "x")]
-    if _has_direct_term(controller):
-        tables.append(("D", controller.D, u, y, "y"))
-    if controller.conditioned:
-        tables.append(("L", controller.L, x, u, "u"))
-    parts = [
-        f"{_columns(M, symbol)}\nstatic const {dtype} {key}[{rows}][{columns}] = {{\n{_rows(M)}\n}};\n"
-        for key, M, rows, columns, symbol in tables
-    ]
-    if controller.limited:
-        for key, limit in (("umin", controller.umin), ("umax", controller.umax)):
-            parts.append(f"static const {dtype} {key}[{u}] = {initializer(limit)};\n")
+    dtype, parts = controller.dtype, []
+    for key, (M, rows, columns, symbol) in _constants(controller, N).items():
+        values = f"{{\n{table(M)}\n}}" if M.ndim == 2 else initializer(M)
+        heading, size = (f"{headings(M, symbol)}\n", f"[{rows}][{columns}]") if M.ndim == 2 else ("", f"[{rows}]")
+        parts.append(f"{heading}static const {dtype} {key}{size} = {values};\n")
     return parts
+
+
+def _constants(controller: SequentialController, N: str) -> dict[str, tuple[np.ndarray, str, str, str]]:
+    """Name -> values, number of rows, number of columns, what they are multiplied by."""
+    x, y, u = (f"{N}_{size}" for size in ("STATES", "INPUTS", "OUTPUTS"))
+    found = {}
+    if len(controller.A):
+        found |= {"A": (controller.A, x, x, "x"), "B": (controller.B, x, y, "y"), "C": (controller.C, u, x, "x")}
+    if _has_direct_term(controller):
+        found["D"] = (controller.D, u, y, "y")
+    if controller.conditioned:
+        found["L"] = (controller.L, x, u, "u")
+    if controller.limited:
+        found |= {"umin": (controller.umin, u, "", ""), "umax": (controller.umax, u, "", "")}
+    return found
 
 
 def _has_direct_term(controller: SequentialController) -> bool:
@@ -157,13 +171,13 @@ def _widths(M: np.ndarray) -> list[int]:
     return [max(len(_number(value)) for value in column) for column in M.T]
 
 
-def _columns(M: np.ndarray, symbol: str) -> str:
+def headings(M: np.ndarray, symbol: str) -> str:
     """A comment over the columns: what each is multiplied by."""
     heads = [f"{symbol}[{j}]".rjust(max(width, 5)) for j, width in enumerate(_widths(M))]
     return f"/*    {'  '.join(heads)} */"
 
 
-def _rows(M: np.ndarray) -> str:
+def table(M: np.ndarray) -> str:
     """The rows of a matrix, aligned below the comment."""
     widths = [max(width, 5) for width in _widths(M)]
     rows = [", ".join(_number(v).rjust(w) for v, w in zip(row, widths, strict=True)) for row in M]
@@ -180,9 +194,9 @@ def _within_limits(controller: SequentialController, value: str) -> str:
 def _reset(controller: SequentialController, name: str) -> str:
     """The function that sets the state."""
     N = name.upper()
-    body = _loop("i", f"{N}_STATES", ["state->x[i] = 0;"]) if len(controller.A) else []
-    body += _loop("i", f"{N}_OUTPUTS", [f"state->u[i] = {_within_limits(controller, '0')};"])
-    return _function(f"void {name}_reset({name}_state *state)", body)
+    body = loop("i", f"{N}_STATES", ["state->x[i] = 0;"]) if len(controller.A) else []
+    body += loop("i", f"{N}_OUTPUTS", [f"state->u[i] = {_within_limits(controller, '0')};"])
+    return function(f"void {name}_reset({name}_state *state)", body)
 
 
 def _step(controller: SequentialController, name: str) -> str:
@@ -191,36 +205,38 @@ def _step(controller: SequentialController, name: str) -> str:
     states, inputs, outputs = (f"{N}_{size}" for size in ("STATES", "INPUTS", "OUTPUTS"))
     body = [f"{real} command[{outputs}];"]
     body += [f"{real} deficit[{outputs}];"] * controller.conditioned + [f"{real} next[{states}];"] * (n > 0)
-    body += ["int fault = 0;", "", *_loop("j", inputs, ["fault |= !isfinite(y[j]);"])]
+    body += ["int fault = 0;", "", *loop("j", inputs, ["fault |= !isfinite(y[j]);"])]
     lines = [f"{real} v = 0;"]
     lines += _add("v", "C", "state->x", states) if n else []
     lines += _add("v", "D", "y", inputs) if _has_direct_term(controller) else []
     lines += [f"command[i] = {_within_limits(controller, 'v')};", "fault |= !isfinite(v);"]
     lines += ["deficit[i] = command[i] - v;"] * controller.conditioned
-    body += _loop("i", outputs, lines)
-    kept = _loop("i", outputs, ["state->u[i] = command[i];"])
+    body += loop("i", outputs, lines)
+    kept = loop("i", outputs, ["state->u[i] = command[i];"])
     if n:
         lines = ["next[i] = 0;", *_add("next[i]", "A", "state->x", states), *_add("next[i]", "B", "y", inputs)]
         lines += _add("next[i]", "L", "deficit", outputs) if controller.conditioned else []
-        body += _loop("i", states, [*lines, "fault |= !isfinite(next[i]);"])
-        kept = _loop("i", states, ["state->x[i] = next[i];"]) + kept
+        body += loop("i", states, [*lines, "fault |= !isfinite(next[i]);"])
+        kept = loop("i", states, ["state->x[i] = next[i];"]) + kept
     body += ["if (!fault) {", *(f"    {line}" for line in kept), "}"]
-    body += [*_loop("i", outputs, ["u[i] = state->u[i];"]), "return fault;"]
-    return _function(f"int {name}_step({name}_state *state, const {real} y[{inputs}], {real} u[{outputs}])", body)
+    body += [*loop("i", outputs, ["u[i] = state->u[i];"]), "return fault;"]
+    return function(f"int {name}_step({name}_state *state, const {real} y[{inputs}], {real} u[{outputs}])", body)
 
 
-def _function(head: str, body: Sequence[str]) -> str:
+def function(head: str, body: Sequence[str]) -> str:
+    """A function in C."""
     code = textwrap.indent("\n".join(body), "    ", lambda line: bool(line.strip()))
     return f"{head}\n{{\n{code}\n}}\n"
 
 
-def _loop(index: str, size: str, lines: Sequence[str]) -> list[str]:
+def loop(index: str, size: str, lines: Sequence[str]) -> list[str]:
+    """A loop in C."""
     return [f"for (int {index} = 0; {index} < {size}; ++{index}) {{", *(f"    {line}" for line in lines), "}"]
 
 
 def _add(target: str, matrix: str, vector: str, size: str) -> list[str]:
     """The loop that adds row i of the matrix times the vector to the target."""
-    return _loop("j", size, [f"{target} += {matrix}[i][j] * {vector}[j];"])
+    return loop("j", size, [f"{target} += {matrix}[i][j] * {vector}[j];"])
 
 
 def _self_test(controller: SequentialController, name: str) -> str:
@@ -230,23 +246,61 @@ def _self_test(controller: SequentialController, name: str) -> str:
     differs = "memcmp(u, trace_u[{}], sizeof u) != 0"
     body = [
         f"static const {real} strange[3] = {{ NAN, INFINITY, -INFINITY }};",
-        f"{name}_state state;", f"{real} y[{N}_INPUTS], u[{N}_OUTPUTS];", "", f"{name}_reset(&state);",
-        *_loop("k", str(SAMPLES), [
+        f"{name}_state state;", f"{real} y[{N}_INPUTS], u[{N}_OUTPUTS];", "uint32_t hash;", "",
+        f"{name}_reset(&state);",
+        *loop("k", str(SAMPLES), [
             f"if ({name}_step(&state, trace_y[k], u) != 0 || {differs.format('k')}) {{", "    return k + 1;", "}",
         ]),
         "memcpy(y, trace_y[0], sizeof y);",
-        *_loop("k", "3", [
+        *loop("k", "3", [
             "y[k % " + f"{N}_INPUTS] = strange[k];",
             f"if ({name}_step(&state, y, u) != 1 || {differs.format(SAMPLES - 1)}) {{",
             f"    return {SAMPLES} + k + 1;", "}",
         ]),
+        *_untouched(controller, N),
         "return 0;",
     ]  # fmt: skip
     tables = [
-        f"{_columns(M, key)}\nstatic const {real} trace_{key}[{SAMPLES}][{N}_{size}] = {{\n{_rows(M)}\n}};\n"
+        f"{headings(M, key)}\nstatic const {real} trace_{key}[{SAMPLES}][{N}_{size}] = {{\n{table(M)}\n}};\n"
         for key, M, size in (("y", y, "INPUTS"), ("u", u, "OUTPUTS"))
     ]
-    return "\n".join([f"#ifdef {N}_SELF_TEST", *tables, f"{_function(f'int {name}_self_test(void)', body)}#endif\n"])
+    return "\n".join(
+        [
+            f"#ifdef {N}_SELF_TEST",
+            *tables,
+            hashing(real, f"uint{8 * y.itemsize}_t"),
+            f"{function(f'int {name}_self_test(void)', body)}#endif\n",
+        ]
+    )
+
+
+def _untouched(controller: SequentialController, N: str) -> list[str]:
+    """What compares the hash of all constants, also of those that this trace does not tell apart."""
+    constants = {key: M for key, (M, *_) in _constants(controller, N).items()}
+    return ["hash = 2166136261u;", *compared(constants, SAMPLES + 4)]
+
+
+def hashing(kind: str, bits: str) -> str:
+    """The function that goes on with a hash (FNV-1a) over the bytes of numbers of this kind, the lowest first."""
+    body = [
+        *loop("i", "count", [
+            f"{bits} bits;", "memcpy(&bits, values + i, sizeof bits);",
+            *loop("k", "(int)sizeof bits", ["hash = (hash ^ (uint32_t)((bits >> (8 * k)) & 255u)) * 16777619u;"]),
+        ]),
+        "return hash;",
+    ]  # fmt: skip
+    return function(f"static uint32_t hashed(uint32_t hash, const {kind} *values, int count)", body)
+
+
+def compared(constants: Mapping[str, np.ndarray], number: int) -> list[str]:
+    """Lines that return this number where the hash of the constants is another than now."""
+    lines, found = [], 2166136261
+    for key, M in constants.items():
+        at = "&" + key + "[0]" * M.ndim
+        lines.append(f"hash = hashed(hash, {at}, {M.size});")
+        for byte in M.astype(M.dtype.newbyteorder("<")).tobytes():
+            found = ((found ^ byte) * 16777619) % 2**32
+    return [*lines, f"if (hash != {found}u) {{", f"    return {number};", "}"]
 
 
 def trace(controller: SequentialController) -> tuple[np.ndarray, np.ndarray]:

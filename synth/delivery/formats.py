@@ -51,7 +51,8 @@ def export(
     umin, umax : number or (m,), unit of u: limits that the C code and the FMU keep, and that json and mat then hold as
         a controller with the facts about its design; None for no limit
     antiwindup : (n, m) gain L in x+ = A x + B y + L (u - v) with u = min(max(v, umin), umax); A - L C must be stable
-    dtype : "double" or "float", of the C code
+    dtype : "double" or "float", of the C code; "q15" or "q31" for whole numbers (C alone; stable controllers, with
+        `inputs`, by which they are scaled, and without anti-windup)
     inputs : number or (p,) bound of |y|, unit of y, under which the files state the bound of `rounding`; None for 1
     acceptance : what `accept` found for this controller, for the files to say; without it they say that it was never
         accepted (json holds the design as it is)
@@ -136,8 +137,11 @@ def _code(
     from synth.delivery.c import c_files
     from synth.delivery.origin import origin_of
     from synth.delivery.rounding import told
+    from synth.regulators import fixed
     from synth.regulators.sequential import SequentialController
 
+    if isinstance(options["dtype"], str) and options["dtype"] in fixed.FORMATS:
+        return _fixed(design, format, name, self_test, accepted, inputs, options)
     controller = SequentialController.of(design, **options)
     check_period("the controller", controller.dt)
     origin = origin_of(design, controller, accepted, told(design, controller, inputs))
@@ -146,3 +150,27 @@ def _code(
     from synth.delivery.fmu import fmu_bytes
 
     return {f"{name}.fmu": fmu_bytes(controller, origin, name, version=int(format[-1]))}
+
+
+def _fixed(
+    design: Any, format: str, name: str, self_test: bool, accepted: str, inputs: Any, options: dict[str, Any]
+) -> dict[str, bytes]:
+    """The C files in whole numbers."""
+    from synth.checks import check_period
+    from synth.delivery.cfixed import fixed_c_files
+    from synth.delivery.origin import origin_of
+    from synth.delivery.rounding import bounds, of_fixed
+    from synth.errors import ExportError
+    from synth.regulators.fixed import FixedController
+    from synth.regulators.sequential import controller_of
+
+    if format != "c" or inputs is None or options["antiwindup"] is not None:
+        raise ExportError(
+            f"dtype is {options['dtype']!r}, which is for format 'c', needs inputs, the bounds by which it is scaled, "
+            "and has no antiwindup"
+        )
+    Y = bounds("inputs", inputs, controller_of(design).nu)
+    controller = FixedController.of(design, options["dtype"], Y, umin=options["umin"], umax=options["umax"])
+    check_period("the controller", controller.dt)
+    origin = origin_of(design, accepted=accepted, arithmetic=str(of_fixed(controller, Y)))
+    return fixed_c_files(controller, origin, name, self_test=self_test)

@@ -17,6 +17,7 @@ from synth.errors import ModelError, NumericalError
 from synth.proof.matrices import exact
 from synth.proof.peakgain import is_proved_stable
 from synth.proof.rounding import FLOATING, Bound, Law, bounded
+from synth.regulators.fixed import FORMATS, FixedController
 from synth.regulators.sequential import SequentialController, controller_of
 from synth.synthesis.design import Design
 from synth.systems.generalized import GeneralizedPlant
@@ -24,6 +25,7 @@ from synth.systems.statespace import StateSpace, as_system, common_timebase
 from synth.threads import one_thread
 
 PRECISIONS = {"double": "double", "float32": "float"}  # what is asked for -> C's name of the type
+HELD = "inputs beyond are held there"
 SMALL = 1e-12  # part of the excitation given to states that no input moves, when an observer is looked for
 DIGITS = 3  # of a bound in words, rounded up
 
@@ -32,7 +34,7 @@ DIGITS = 3  # of a bound in words, rounded up
 class Rounding(Bound):
     """A proved bound on what rounding does over any time, and what was assumed for it."""
 
-    precision: str  # "double" or "float32"
+    precision: str  # "double", "float32", "q15" or "q31"
     inputs: np.ndarray  # (p,) bound of |y| that was assumed
     assumptions: tuple[str, ...]
 
@@ -64,7 +66,7 @@ def rounding(
     ----------
     controller : discrete Design, StateSpace, `LinearController` or `AntiWindup`, as `export` takes it
     inputs : number or (p,) bound of |y_j| in every sample, unit of y
-    precision : "float32" or "double"
+    precision : "float32", "double", or words of fixed point: "q15" (16 bits) or "q31" (32 bits)
     plant : from u to y, u = K y (positive feedback), a state-space system or GeneralizedPlant: then both controllers
         are compared in the loop that each closes with it, under the same references and disturbances; None for the
         controller alone, which then must be stable, under the same inputs
@@ -84,11 +86,25 @@ def rounding(
 
     Reference: see `synth.proof.rounding`.
     """
-    as_choice("precision", precision, PRECISIONS)
+    as_choice("precision", precision, (*PRECISIONS, *FORMATS))
     K = controller_of(controller)
+    if precision in FORMATS:
+        if not (plant is None and commands is None and antiwindup is None):
+            raise ModelError("plant, commands or antiwindup is given; fixed point is bounded by itself: leave it away")
+        Y = bounds("inputs", inputs, K.nu)
+        return of_fixed(FixedController.of(controller, precision, Y, umin=umin, umax=umax), Y)
     limits = {"umin": umin, "umax": umax, "antiwindup": antiwindup}
     exported = SequentialController.of(controller, dtype=PRECISIONS[precision], allow_unstable=True, **limits)
-    return _proved(exported, K, _bounds("inputs", inputs, K.nu), commands, None if plant is None else _plant(plant, K))
+    return _proved(exported, K, bounds("inputs", inputs, K.nu), commands, None if plant is None else _plant(plant, K))
+
+
+def of_fixed(controller: FixedController, inputs: np.ndarray) -> Rounding:
+    """The bound that came with the scaling of a controller in fixed point."""
+    v = controller.bound.commands + controller.bound.command
+    limits = np.ldexp(np.minimum(-controller.umin, controller.umax).astype(float), -controller.commands)
+    within = "from reset until a command reaches its limit" if (v >= limits).any() else "from reset, over any time"
+    assumed = (f"|y| <= {_listed(inputs)}, {HELD}", within)
+    return Rounding(**vars(controller.bound), precision=controller.format, inputs=inputs, assumptions=assumed)
 
 
 def told(source: Any, exported: SequentialController, inputs: Any) -> str:
@@ -105,7 +121,7 @@ def told(source: Any, exported: SequentialController, inputs: Any) -> str:
     ModelError : the inputs are no positive numbers.
     """
     K = controller_of(source)
-    Y = _bounds("inputs", 1.0 if inputs is None else inputs, K.nu)
+    Y = bounds("inputs", 1.0 if inputs is None else inputs, K.nu)
     own = isinstance(source, Design) and source.shaping is None and not is_proved_stable(exact(exported.system.A))
     try:
         return str(_proved(exported, K, Y, None, _plant(source, K) if own else None))
@@ -136,7 +152,7 @@ def _proved(exported: SequentialController, K: StateSpace, Y: np.ndarray, comman
     return Rounding(**vars(found), precision=precision, inputs=Y, assumptions=tuple(assumed))
 
 
-def _bounds(name: str, value: Any, size: int) -> np.ndarray:
+def bounds(name: str, value: Any, size: int) -> np.ndarray:
     """Positive numbers (size,)."""
     given = as_array(name, value, f"pass a positive number, or {size} of them")
     if given.shape not in ((), (size,)) or not (given > 0).all():
@@ -147,7 +163,7 @@ def _bounds(name: str, value: Any, size: int) -> np.ndarray:
 def _commands(commands: Any, made: SequentialController) -> np.ndarray:
     """The bound of |u|: given, or the limits."""
     if commands is not None:
-        return _bounds("commands", commands, len(made.D))
+        return bounds("commands", commands, len(made.D))
     limits = np.maximum(np.abs(made.umin), np.abs(made.umax)).astype(float)
     if not np.isfinite(limits).all():
         raise ModelError(

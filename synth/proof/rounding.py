@@ -25,6 +25,7 @@ Reliable implementation of linear filters with fixed-point arithmetic, IEEE SiPS
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -65,8 +66,8 @@ class Arithmetic(Protocol):
         """Size that no signal, product or sum may reach."""
         ...
 
-    def error(self, row: Row) -> float:
-        """Bound of what a row misses in one sample."""
+    def errors(self, rows: Sequence[Row]) -> np.ndarray:
+        """Bounds of what the rows miss in one sample, those of the states and then those of the commands."""
         ...
 
     def conversion(self, inputs: np.ndarray) -> np.ndarray:
@@ -82,11 +83,12 @@ class Floating:
     tiny: float  # half the smallest number, or above
     largest: float
 
-    def error(self, row: Row) -> float:
-        """Of rounded products, added one after another.
+    def errors(self, rows: Sequence[Row]) -> np.ndarray:
+        """Of rounded products, added one after another."""
+        return np.array([self._error(row) for row in rows])
 
-        A power of two times a number is exact, as is 0 + a number; and no sum misses more than its smaller part.
-        """
+    def _error(self, row: Row) -> float:
+        """A power of two times a number is exact, as is 0 + a number; no sum misses more than its smaller part."""
         missed = 0.0
         for k, (m, signal, total) in enumerate(zip(*row, strict=True)):
             product = abs(m) * signal * UP
@@ -100,6 +102,23 @@ class Floating:
     def conversion(self, inputs: np.ndarray) -> np.ndarray:
         """Half a unit in the last place."""
         return np.array([self.unit * _ufp(y) + self.tiny for y in inputs])
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """Whole multiples of a step for each signal: exact sums, each rounded once to the step of its result."""
+
+    steps: np.ndarray  # (n + m,) of the states and the commands
+    read: np.ndarray  # (p,) of the inputs
+    largest: float = np.inf  # its maker sees to it
+
+    def errors(self, rows: Sequence[Row]) -> np.ndarray:
+        """Half a step."""
+        return np.where([len(row.sums) > 0 for row in rows], self.steps / 2, 0.0)
+
+    def conversion(self, inputs: np.ndarray) -> np.ndarray:
+        """Half a step."""
+        return self.read / 2
 
 
 FLOATING = {
@@ -222,7 +241,7 @@ def _kept(law: Law, sizes: Sizes, arithmetic: Arithmetic) -> tuple[np.ndarray, l
             Row(row[columns], factors[columns], (sums + np.cumsum(np.abs(row) * off)[columns]) * UP)
             for row, columns, sums in zip(M, sizes.places, sizes.sums, strict=True)
         ]
-        found = np.array([arithmetic.error(row) for row in rows])
+        found = arithmetic.errors(rows)
         if (found <= errors).all():
             return errors, rows
         if not np.isfinite(found).all():

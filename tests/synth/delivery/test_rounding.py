@@ -3,34 +3,14 @@
 import numpy as np
 import pytest
 from literature import cubesat_pecorilla2024
-from replayed import difference, trying
+from replayed import NEAR, difference, random_controller, trying
 
 import synth
 from synth.errors import ModelError, NumericalError
 
-NEAR = 50  # times what was measured, which the bound may be
 TYPES = {"double": "double", "float32": "float"}
 INTEGRATOR = synth.StateSpace([[1.0]], [[0.1]], [[1.0]], [[2.0]], 0.1)
 LAG = synth.c2d(synth.system([-1], [1, 1]), 0.1)
-
-
-def random_controller(seed: int) -> synth.StateSpace:
-    """Stable, with rates from one sample to a few thousand, in units of any size, some entries 0 or 1."""
-    rng = np.random.default_rng(seed)
-    n, p, m = rng.integers(0, 7), rng.integers(1, 4), rng.integers(1, 3)
-    blocks, A, k = [], np.zeros((n, n)), 0
-    while k < n:
-        radius = 1 - 10 ** rng.uniform(-3.3, -0.3)
-        if k + 1 < n and rng.random() < 0.5:
-            angle = rng.uniform(0.01, 3)
-            turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-            A[k : k + 2, k : k + 2] = radius * turn
-            blocks, k = [*blocks, 2], k + 2
-        else:
-            A[k, k], k = radius * rng.choice([-1, 1]), k + 1
-    T = np.linalg.qr(rng.normal(size=(n, n)))[0] * 10 ** rng.uniform(-2, 2, n) if rng.random() < 0.7 else np.eye(n)
-    B, C, D = rng.normal(size=(n, p)), rng.normal(size=(m, n)), rng.normal(size=(m, p)) * rng.integers(n == 0, 2)
-    return synth.StateSpace(np.linalg.solve(T, A @ T), np.linalg.solve(T, B), C @ T, D, 0.1)
 
 
 def measured(K, bounds, precision, folder, steps, seed=0):
