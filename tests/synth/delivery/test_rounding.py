@@ -1,11 +1,14 @@
 """What rounding does is below its bound, measured on the compiled C, and the bound is not far above."""
 
+import json
+
 import numpy as np
 import pytest
 from literature import cubesat_pecorilla2024
 from replayed import NEAR, difference, random_controller, trying
 
 import synth
+from synth.__main__ import main
 from synth.errors import ModelError, NumericalError
 
 TYPES = {"double": "double", "float32": "float"}
@@ -18,7 +21,8 @@ def measured(K, bounds, precision, folder, steps, seed=0):
     _, source = synth.export(K, "c", folder, dtype=TYPES[precision], self_test=False, force=True)
     system = K.controller if isinstance(K, synth.Design) else K
     inputs = trying(system, bounds, np.random.default_rng(seed))
-    return difference(source, system, TYPES[precision], inputs, steps)
+    plain = difference(source, system, TYPES[precision], inputs, steps)
+    return np.maximum(plain, difference(source, system, TYPES[precision], inputs, steps // 20, choices=16))
 
 
 @pytest.mark.parametrize("precision", TYPES)
@@ -44,7 +48,7 @@ def test_bounds_of_fifty_random_controllers_over_a_million_steps(precision, tmp_
         off = measured(K, Y, precision, tmp_path / str(seed), 1_000_000, seed)
         assert (off <= found.command).all(), seed
         ratios.append((found.command / off).max())
-    assert np.median(ratios) <= NEAR
+    assert max(ratios) <= NEAR
 
 
 def looped(K, G, bounds, precision, seed):
@@ -109,3 +113,17 @@ def test_exported_files_state_the_bound(tmp_path):
     assert str(synth.rounding(K, inputs=2.0)) in text
     header, _ = synth.export(INTEGRATOR, "c", tmp_path, name="other", umin=-1, umax=1, antiwindup=[[0.5]])
     assert "not bounded: the controller is not proved stable by itself" in " ".join(header.read_text().split())
+
+
+@pytest.mark.parametrize("field", ["A", "B", "C", "D"])
+def test_synth_verify_refuses_a_changed_coefficient(field, tmp_path, capsys):
+    """One unit in the last place of one number of the controller in the design's file."""
+    path = tmp_path / "design.json"
+    synth.hinfsyn(cubesat_pecorilla2024()).save(path)
+    assert main(["verify", str(path)]) == 0
+    data = json.loads(path.read_text())
+    row = data["controller"][field][0]
+    row[0] = float(np.nextafter(row[0], np.inf))
+    path.write_text(json.dumps(data))
+    assert main(["verify", str(path)]) != 0
+    assert "sha256" in capsys.readouterr().err
