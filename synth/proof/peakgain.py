@@ -54,11 +54,13 @@ class Coordinates(NamedTuple):
     G: np.ndarray  # (n, n) at least (I - M)^-1
 
 
-def peak_gains(system: Balls, *, work: float = WORK, few: float = FEW) -> np.ndarray:
+def peak_gains(system: Balls, *, first: int = 0, work: float = WORK, few: float = FEW) -> np.ndarray:
     """Upper bounds (outputs, inputs) of the peak gains of a discrete system in balls, from rest.
 
     Parameters
     ----------
+    first : states of a system in front of the others, which they do not act upon: its vectors are then its own, so
+        that two systems that hardly differ are not taken for one with double poles
     work : multiplications at most; where they do not suffice the tail is larger, and the bound still one
     few : part of a gain that its tail's bound may be above what is known of the tail, |C (I - A)^-1 A^N B| at least
 
@@ -71,7 +73,7 @@ def peak_gains(system: Balls, *, work: float = WORK, few: float = FEW) -> np.nda
     if not A.nrows() or not B.ncols() or not C.nrows():
         return gains * UP
     with ctx.workprec(BITS):
-        ways = coordinates(A)
+        ways = coordinates(A, first)
         if not ways:
             raise NumericalError("the system was not proved stable, and only of a stable one the peaks have a bound")
         return (gains + _sums(A, B, C, ways, work, few)) * UP
@@ -83,21 +85,27 @@ def is_proved_stable(A: arb_mat) -> bool:
         return not A.nrows() or bool(coordinates(A))
 
 
-def coordinates(A: arb_mat) -> list[Coordinates]:
+def coordinates(A: arb_mat, first: int = 0) -> list[Coordinates]:
     """Those in which one step of x+ = A x contracts."""
     midpoint = rounded(A)
-    _, balanced = scipy.linalg.matrix_balance(midpoint, permute=False, separate=True)
-    scale = balanced[0]
-    scaled = midpoint / scale[:, None] * scale
-    _, vectors = np.linalg.eig(scaled)
-    schur = scipy.linalg.schur(scaled, output="complex")
-    found = [_contracting(A, _complex(scale[:, None] * V)) for V in (vectors, schur[1])]
+    blocks = [M for M in (midpoint[:first, :first], midpoint[first:, first:]) if len(M)]
+    eigen, schur = (_complex(np.asarray(scipy.linalg.block_diag(*T))) for T in zip(*map(_vectors, blocks), strict=True))
+    found = [_contracting(A, T) for T in (eigen, schur)]
     if found[0] is None:
         try:
             found.append(_contracting(A, acb_mat(A).mid().eig(right=True, algorithm="approx")[1].mid()))
         except (ValueError, ZeroDivisionError, ArithmeticError):
             pass
     return [way for way in found if way is not None]
+
+
+def _vectors(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvectors and Schur vectors, found in units in which rows and columns are alike."""
+    _, balanced = scipy.linalg.matrix_balance(A, permute=False, separate=True)
+    scale = balanced[0]
+    scaled = A / scale[:, None] * scale
+    schur = scipy.linalg.schur(scaled, output="complex")
+    return scale[:, None] * np.linalg.eig(scaled)[1], scale[:, None] * schur[1]
 
 
 def _contracting(A: arb_mat, T: acb_mat) -> Coordinates | None:

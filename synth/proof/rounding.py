@@ -289,7 +289,7 @@ def _moved(exported: Law, designed: Law, loop: Balls, L: np.ndarray, bounds: np.
         A - l * C, block([[B - l * D, l]]) * scaled, block([[dA], [dC], [_zeros(p, n)]]),
         block([[dB, _zeros(n, m)], [dD, _zeros(m, m)], [_zeros(p, p), _zeros(p, m)]]) * scaled,
     )  # fmt: skip
-    return peak_gains(_series(errors, loop)).sum(axis=1) * UP
+    return peak_gains(_series(errors, loop), first=n).sum(axis=1) * UP
 
 
 def _series(first: Balls, second: Balls) -> Balls:

@@ -100,6 +100,18 @@ def test_bounds_scale_with_powers_of_two_and_hold_the_commands():
     np.testing.assert_allclose(one.command, one.coefficients + one.arithmetic, rtol=1e-8)
 
 
+def test_coefficients_of_slow_poles_are_told_from_those_they_became():
+    """u of a lag and of the one that its rounded pole makes: sum of |r^k - R^k| is the difference of 1/(1 - r)."""
+    for pole in (1 - 1e-4, 1 - 1e-5, 1 - 3e-6):
+        T = np.array([[1.0, 0.5, 0.25], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])  # its entries and those of T^-1 are exact
+        A = np.linalg.inv(T) @ np.diag([pole, 0.5, 0.25]) @ T
+        K = synth.StateSpace(A, np.linalg.inv(T)[:, :1], T[:1], [[0.0]], 1.0)
+        became = float(np.float32(A[0, 0]))
+        expected = abs(1 / (1 - A[0, 0]) - 1 / (1 - became))
+        found = synth.rounding(K, inputs=1.0)
+        np.testing.assert_allclose(found.coefficients, expected, rtol=0.05)
+
+
 def test_the_result_says_whether_a_limit_can_be_reached():
     K = synth.StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)  # |u| <= 2
     assert "until a command reaches its limit" in str(synth.rounding(K, inputs=1.0, umin=-1, umax=1))
