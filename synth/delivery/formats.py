@@ -172,5 +172,6 @@ def _fixed(
     Y = bounds("inputs", inputs, controller_of(design).nu)
     controller = FixedController.of(design, options["dtype"], Y, umin=options["umin"], umax=options["umax"])
     check_period("the controller", controller.dt)
-    origin = origin_of(design, accepted=accepted, arithmetic=str(of_fixed(controller, Y)))
+    limited = _limited(design, umin=options["umin"], umax=options["umax"])  # in their units, for the facts
+    origin = origin_of(design, limited, accepted, str(of_fixed(controller, Y)))
     return fixed_c_files(controller, origin, name, self_test=self_test)

@@ -91,6 +91,10 @@ def test_headers_say_scales_bound_and_where_it_holds(tmp_path):
     assert str(synth.rounding(K, inputs=2.0, precision="q15")) in text
     twin = FixedController.of(K, "q15", np.full(K.nu, 2.0))
     assert f"times 2^{twin.read[0]}, in [{-twin.most[0]}, {twin.most[0]}]" in text
+    limited, _ = synth.export(K, "c", tmp_path, name="limited", dtype="q15", inputs=2.0, umin=-0.25, umax=0.5)
+    facts = [re.search(r"limits +(.*)", file.read_text())[1] for file in (header, limited)]
+    assert "min(max(v" not in facts[0]
+    assert "min(max(v" in facts[1]
 
 
 def test_what_fixed_point_does_not_do_is_refused(tmp_path):
