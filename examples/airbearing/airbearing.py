@@ -41,7 +41,7 @@ from matplotlib.figure import Figure
 import synth
 from plants import Table, airbearing, blocks, draw, figures, report, study
 from plants.missions.airbearing import DEG, INERTIA_SPREAD, PERIOD, TAIL, TARGET, TORQUE_LIMITS, Outcome, Q, R
-from plants.outcome import boxes, worst
+from plants.outcome import boxes, intersample, worst
 from synth import ExportError, export, lqr, lqrd, state_feedback
 from synth.regulators.regulator import sampled_cost
 
@@ -290,6 +290,7 @@ def main(arguments: list[str] | None = None) -> int:
             *tables,
             *worst.tables(found.worst),
             *boxes.tables(found.boxes, options.out, quantity=QUANTITY, model=MODEL),
+            *intersample.tables([a.question for a in found.boxes], synth, quantity=QUANTITY),
         ],
         statements=statements(found),
         counterparts=counterparts(),

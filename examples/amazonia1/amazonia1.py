@@ -45,7 +45,7 @@ from matplotlib.figure import Figure
 import synth
 from plants import Campaign, Table, amazonia1, draw, figures, report, study
 from plants.missions.amazonia1 import DEG
-from plants.outcome import boxes, worst
+from plants.outcome import boxes, intersample, worst
 from synth import ExportError, export
 
 HEADERS = ("controller", "settled", "median, s", "max, s", "converged", "turned at most, deg",
@@ -230,6 +230,7 @@ def main(arguments: list[str] | None = None) -> int:
             pointwise(found),
             *worst.tables(found.worst),
             *boxes.tables(found.boxes, options.out, quantity=QUANTITY, model=MODEL),
+            *intersample.tables([a.question for a in found.boxes], synth, quantity=QUANTITY),
         ],
         statements=statements(found),
         counterparts=counterparts(),

@@ -15,13 +15,16 @@ from typing import Any
 
 import numpy as np
 from amazonia1 import ABBREVIATIONS, check_period, period_option
+from amazonia1_box import QUANTITY, questions
 from amazonia1_flights import LQR, MRP, SDRE, SHORT, Shared, case, controllers, measure
 from amazonia1_region_claims import PAPER, TESTS, TITLE, counterparts, findings, reached, statements, summary
 from matplotlib.figure import Figure
 
+import synth
 from plants import Campaign, Table, amazonia1, clopper_pearson, figures, report, simulate, study
 from plants.files import write_atomically
 from plants.missions.amazonia1 import DEG, RPM, Dispersion, Outcome
+from plants.outcome import intersample
 
 NAMES = (LQR, SHORT, SDRE, MRP)
 HEADERS = ("controller", "runs", "attitude and rate", "95 %", "of the feasible", "rate only", "95 %", "fallbacks")
@@ -194,6 +197,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"page: {replay(chosen, options.replay, options.seed, duration, options.out)}")
         return 0
     drawn = amazonia1.region(runs, options.seed)
+    near = [q for q in questions(built) if q.controller in (f"{LQR}, {SDRE}", MRP)]  # near the target they are linear
     found = Study(drawn, amazonia1.momentum_load(amazonia1.starts(drawn)), duration)
     study.carry_out(found, lambda: fly(found, chosen), options)
     save(found, options.out / "region.npz")
@@ -202,7 +206,7 @@ def main(arguments: list[str] | None = None) -> int:
         options.out,
         title="Amazonia-1: regions of attraction",
         subtitle="LQR and SDRE with wheels that saturate; after Romero and Souza (2022), doi 10.37394/23202.2022.21.9",
-        tables=[table(found)],
+        tables=[table(found), *intersample.tables(near, synth, quantity=QUANTITY)],
         statements=statements(found),
         findings=[*reached(found), *findings(found, options.period)],
         counterparts=counterparts(),

@@ -71,7 +71,7 @@ from plants import (
 )
 from plants.files import write_atomically
 from plants.missions.cubesat3u import REQUIREMENTS
-from plants.outcome import boxes
+from plants.outcome import boxes, intersample
 from plants.outcome.worst import ask
 from plants.outcome.worst import tables as worst_tables
 from synth.delivery.qp import save_mpc
@@ -307,6 +307,7 @@ def main(arguments: list[str] | None = None) -> int:
         "doi 10.1002/rnc.7119",
         tables=[requirements(found), monte_carlo(found), filters(found), robustness(found), *told,
                 *boxes.tables(found.boxes, options.out, quantity=QUANTITY, model=MODEL),
+                *intersample.tables([a.question for a in found.boxes], synth, quantity=QUANTITY),
                 *worst_tables(found.worst)],
         statements=statements(found),
         findings=[*findings(found), *boxes.findings(found.boxes, WHOSE)],

@@ -43,7 +43,7 @@ from geo_worst import question
 import synth
 from plants import Card, Requirement, Table, study
 from plants.missions.geo import BOX, END, FORCE, SETTLE
-from plants.outcome import boxes, worst
+from plants.outcome import boxes, intersample, worst
 from synth import ExportError, LinearController, export
 
 DRAWS = 100  # of the Monte Carlo beside the worst flight
@@ -276,6 +276,7 @@ def main(arguments: list[str] | None = None) -> int:
             *other_tables(found),
             *worst.tables(found.worst),
             *boxes.tables(found.boxes, options.out, quantity=box.QUANTITY, model=box.MODEL),
+            *intersample.tables([a.question for a in found.boxes], synth, quantity=box.QUANTITY),
         ],
         statements=statements(found),
         counterparts=counterparts(),
