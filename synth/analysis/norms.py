@@ -190,12 +190,16 @@ def _on_circle(G: StateSpace, poles: np.ndarray, tol: float) -> _Found:
     peak, theta, confirmed = _peak(H, tol)
     w = float(rate * np.tan(theta / 2))
     direct = _gain_at(balance(G), 1j * w)
-    return _Found(H, direct, theta, w, confirmed, peak)
+    return _Found(H, direct if np.isfinite(direct) else peak, theta, w, confirmed, peak)
 
 
 def _gain_at(G: StateSpace, s: complex) -> float:
-    """Largest singular value of a stable system at s."""
-    return float(np.linalg.norm(G.C @ np.linalg.solve(s * np.eye(G.n) - G.A, G.B.astype(complex)) + G.D, 2))
+    """Largest singular value of a stable system at s; inf where numbers end."""
+    try:
+        M = G.C @ np.linalg.solve(s * np.eye(G.n) - G.A, G.B.astype(complex)) + G.D
+        return float(np.linalg.norm(M, 2)) if np.isfinite(M).all() else np.inf
+    except np.linalg.LinAlgError:
+        return np.inf
 
 
 def _check_stable(G: StateSpace, poles: np.ndarray, radius: float) -> None:
