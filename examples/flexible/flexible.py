@@ -1,7 +1,7 @@
 """Flexible satellite: a proved optimum that 1 % of its parameters destabilises, and controllers proved over 20 %.
 
 A hub with panels, lightly damped. Roll is controlled by the H-infinity optimum of the nominal parameters, by one of a
-model with more damping, by a second-order controller tuned over the box of parameters, and by PD of the same bandwidth.
+model with more damping, by D-K iteration, by a second-order controller tuned over the box of parameters, and by PD.
 The gain of each is bounded from both sides over the box, and all are flown over it with the whole satellite.
 """
 

@@ -14,7 +14,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from plants import flexible_model
-from synth import Design, StateSpace, UncertainSystem, hinfsyn, system, ureal, worst_gain
+from synth import Design, StateSpace, UncertainSystem, hinfsyn, musyn, system, ureal, worst_gain
+from synth.synthesis.dkiteration import MuDesign
 
 ROLL = 500.0  # kg m^2 about roll, without the rotors
 FREQUENCIES = (1.2, 5.0)  # rad/s, bending of the panels with the hub held
@@ -25,9 +26,14 @@ BANDWIDTH, RATIO, ROLL_OFF = 0.1, 0.7, 10.0  # rad/s of PD
 SPREAD = 20.0  # percent of inertia and frequencies
 SPREAD_OF_DAMPING = 50.0  # percent
 
+SPREAD_OF_MU = (
+    1.0  # percent of inertia and frequencies, for D-K iteration, to which 20 % are as good as negative damping
+)
+BLOCKS = [(-1, 0), (-2, 0), (-2, 0), (2, 2)]  # inertia, two frequencies of which squares enter, performance
+
 SIGNS = np.array([-1, -1, -1, 1, 1])  # of the numbers of the second-order controller
 
-NOMINAL, DAMPED, TUNED, PD = "H-infinity", "H-infinity, damped model", "second order, tuned", "PD"
+NOMINAL, DAMPED, MU, TUNED, PD = "H-infinity", "H-infinity, damped model", "mu, D-K", "second order, tuned", "PD"
 
 
 def bending(inertia: Any, frequencies: Any, damping: Any = DAMPING) -> UncertainSystem:
@@ -66,6 +72,37 @@ def damped(damping: float = 0.7) -> Design:
     """The optimum for modes with this damping and twice the noise: no notch where a mode may not be."""
     G = bending(ROLL, FREQUENCIES, damping).nominal
     return hinfsyn(StateSpace(G.A, G.B * [1, 2, 1], G.C, G.D * [1, 2, 1], 0), 1, 1)
+
+
+def fractional(percentage: float) -> StateSpace:
+    """Roll as a linear fractional form in J and w1, w2 within +- so many percent; last input u / J, last output angle.
+
+    v = W (1 + r b) eta, f = W (1 + r b) (v + 2 z eta'); J (1 + r a) theta'' + d eta'' = tau, eta'' + d' theta'' + f = 0
+    """
+    r, W, J, k = percentage / 100, FREQUENCIES, ROLL, len(FREQUENCIES)
+    n, blocks = 1 + k, 1 + 2 * k
+    M = np.eye(n)
+    M[0, 0], M[0, 1:], M[1:, 0] = J, COUPLINGS, COUPLINGS
+    force, changed, driven = np.zeros((n, 2 * n)), np.zeros((n, blocks)), np.zeros((n, 3))
+    driven[0], changed[0, 0] = [J * TORQUE, 0, J], -1
+    C, D = np.zeros((blocks + 3, 2 * n)), np.zeros((blocks + 3, blocks + 3))
+    for i, w in enumerate(W):
+        eta, rate, first, second = 1 + i, n + 1 + i, 1 + 2 * i, 2 + 2 * i
+        force[eta, [eta, rate]] = -w * w, -2 * DAMPING * w
+        changed[eta, [first, second]] = -w, -1
+        C[first, eta] = r * w
+        C[second, [eta, rate]], D[second, first] = (r * w * w, r * w * 2 * DAMPING), r * w
+    moved = np.linalg.solve(M, np.hstack([force, changed, driven]))
+    C[0], D[0] = r * J * moved[0, : 2 * n], r * J * moved[0, 2 * n :]
+    C[[blocks, blocks + 2], 0] = 1
+    D[blocks + 1, -1], D[blocks + 2, -2] = EFFORT, NOISE
+    A = np.vstack([np.eye(2 * n)[n:], moved[:, : 2 * n]])
+    return StateSpace(A, np.vstack([np.zeros((n, blocks + 3)), moved[:, 2 * n :]]), C, D, 0.0)
+
+
+def structured() -> MuDesign:
+    """By D-K iteration, which takes inertia and frequencies for complex numbers, over the box that this bears."""
+    return musyn(fractional(SPREAD_OF_MU), 1, 1, BLOCKS, order=1)
 
 
 def tuned(percentage: float = SPREAD, rounds: int = 4) -> StateSpace:
@@ -123,4 +160,4 @@ def _response(G: StateSpace, s: np.ndarray) -> np.ndarray:
 
 def designs(rounds: int = 4) -> dict[str, Any]:
     """All controllers of roll by their names; further methods join here. `rounds` as of `tuned`."""
-    return {NOMINAL: full_order(), DAMPED: damped(), TUNED: tuned(rounds=rounds), PD: pd()}
+    return {NOMINAL: full_order(), DAMPED: damped(), MU: structured(), TUNED: tuned(rounds=rounds), PD: pd()}

@@ -49,7 +49,7 @@ WHEELS = [Wheel.create(axis, max_torque=0.4, inertia=ROTOR, max_speed=400.0) for
 LEAK = np.array([2e-3, -1e-3, 1e-3])  # N m
 PERIOD, STEPS = 0.05, 2  # s, and Runge-Kutta steps in it
 DURATION, STEADY = 300.0, 200.0  # s, of a flight, and where every sound loop is steady
-STATES = 10  # of a controller of all axes at most
+STATES = 20  # of a controller of all axes at most
 QUIET = 0.005  # deg rms of roll about its mean, ten times the noise: beyond it the panels swing
 
 
