@@ -82,8 +82,8 @@ def findings(found: Study) -> list[str]:
         )
     if MU in found.margins:
         said.append(
-            "D-K iteration takes real numbers for complex ones, and a complex change of a stiffness is negative damping "
-            f"as well: over wide boxes it ends far above one. Over {SPREAD_OF_MU:g} % it ends at mu = "
+            "D-K iteration takes real numbers for complex ones, and a complex change of a stiffness is negative "
+            f"damping as well: over wide boxes it ends far above one. Over {SPREAD_OF_MU:g} % it ends at mu = "
             f"{found.designs[MU].mu.upper:.2f} with order {found.designs[MU].controller.n}, and the real box that its "
             f"loop is proved to bear is {SPREAD * found.margins[MU].lower:.3g} %."
         )
