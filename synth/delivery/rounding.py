@@ -27,6 +27,7 @@ from synth.threads import one_thread
 PRECISIONS = {"double": "double", "float32": "float"}  # what is asked for -> C's name of the type
 HELD = "inputs beyond are held there"
 SMALL = 1e-12  # part of the excitation given to states that no input moves, when an observer is looked for
+UNASKED = 20  # states, up to which a bound is proved though none was asked for
 DIGITS = 3  # of a bound in words, rounded up
 
 
@@ -114,7 +115,7 @@ def told(source: Any, exported: SequentialController, inputs: Any) -> str:
 
     Parameters
     ----------
-    inputs : as in `rounding`; None for 1
+    inputs : as in `rounding`; None for 1, for controllers of up to `UNASKED` states, whose proof takes seconds
 
     Raises
     ------
@@ -122,6 +123,8 @@ def told(source: Any, exported: SequentialController, inputs: Any) -> str:
     """
     K = controller_of(source)
     Y = bounds("inputs", 1.0 if inputs is None else inputs, K.nu)
+    if inputs is None and K.n > UNASKED:
+        return f"not bounded unasked: the controller has more than {UNASKED} states; pass inputs, bounds of |y|"
     own = isinstance(source, Design) and source.shaping is None and not is_proved_stable(exact(exported.system.A))
     try:
         return str(_proved(exported, K, Y, None, _plant(source, K) if own else None))

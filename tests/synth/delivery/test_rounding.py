@@ -139,3 +139,13 @@ def test_synth_verify_refuses_a_changed_coefficient(field, tmp_path, capsys):
     path.write_text(json.dumps(data))
     assert main(["verify", str(path)]) != 0
     assert "sha256" in capsys.readouterr().err
+
+
+def test_large_controllers_are_exported_at_once_and_bounded_when_asked(tmp_path):
+    """A bound of 300 states takes a minute: the header says that none was proved, and how to have one."""
+    n = 45
+    K = synth.StateSpace(0.5 * np.eye(n), np.ones((n, 1)), np.ones((1, n)), [[0.0]], 1.0)
+    header = synth.export(K, "c", tmp_path)[0].read_text()
+    assert "not bounded unasked" in " ".join(header.replace("*", " ").split())
+    header = synth.export(K, "c", tmp_path, inputs=1.0, force=True)[0].read_text()
+    assert "|u - exact u| <=" in " ".join(header.replace("*", " ").split())
