@@ -16,11 +16,18 @@ if TYPE_CHECKING:
     from synth.analysis.gap import Gap as Gap
     from synth.analysis.gap import gapmetric as gapmetric
     from synth.analysis.gap import nugap as nugap
+    from synth.analysis.hankel import Balanced as Balanced
+    from synth.analysis.hankel import Gramians as Gramians
+    from synth.analysis.hankel import balreal as balreal
+    from synth.analysis.hankel import gramians as gramians
+    from synth.analysis.hankel import hsvd as hsvd
+    from synth.analysis.hankel import minreal as minreal
     from synth.analysis.mu import Mu as Mu
     from synth.analysis.mu import mussv as mussv
     from synth.analysis.norms import h2norm as h2norm
     from synth.analysis.norms import hinfnorm as hinfnorm
     from synth.analysis.norms import verify as verify
+    from synth.analysis.reduce import Reduction as Reduction
     from synth.analysis.sampleddata import SampledNorm as SampledNorm
     from synth.analysis.sampleddata import sdh2norm as sdh2norm
     from synth.analysis.sampleddata import sdhinfnorm as sdhinfnorm
@@ -36,6 +43,7 @@ if TYPE_CHECKING:
     from synth.delivery.frequencyplots import nichols as nichols
     from synth.delivery.frequencyplots import nyquist as nyquist
     from synth.delivery.frequencyplots import sigma as sigma
+    from synth.delivery.hankelplots import hsvplot as hsvplot
     from synth.delivery.marginplots import diskmarginplot as diskmarginplot
     from synth.delivery.modelfiles import read as read
     from synth.delivery.rounding import Rounding as Rounding
@@ -106,6 +114,7 @@ if TYPE_CHECKING:
     from synth.synthesis.loopshaping import ncfsyn as ncfsyn
     from synth.synthesis.mixedsensitivity import augw as augw
     from synth.synthesis.mixedsensitivity import mixsyn as mixsyn
+    from synth.synthesis.reduction import reduce as reduce
     from synth.synthesis.sampleddata import sdhinfsyn as sdhinfsyn
     from synth.systems.connect import feedback as feedback
     from synth.systems.connect import lft as lft
@@ -126,6 +135,7 @@ _HOME = {
     "Acceptance": "delivery.acceptance",
     "AntiWindup": "regulators.antiwindup",
     "AssumptionError": "errors",
+    "Balanced": "analysis.hankel",
     "BoxCertificate": "proof.boxcertificate",
     "Certificate": "proof.certify",
     "Controller": "regulators.controller",
@@ -137,6 +147,7 @@ _HOME = {
     "FuelMpc": "predictive.fuel",
     "Gap": "analysis.gap",
     "GeneralizedPlant": "systems.generalized",
+    "Gramians": "analysis.hankel",
     "InfeasibleError": "errors",
     "Info": "synthesis.design",
     "LinearController": "regulators.controller",
@@ -149,6 +160,7 @@ _HOME = {
     "MuDesign": "synthesis.dkiteration",
     "NumericalError": "errors",
     "QuaternionModel": "regulators.sdc",
+    "Reduction": "analysis.reduce",
     "Requirements": "delivery.acceptance",
     "SampledNorm": "analysis.sampleddata",
     "Rounding": "delivery.rounding",
@@ -169,6 +181,7 @@ _HOME = {
     "accept": "delivery.acceptance",
     "allmargin": "analysis.stabilitymargins",
     "augw": "synthesis.mixedsensitivity",
+    "balreal": "analysis.hankel",
     "bode": "delivery.frequencyplots",
     "c2d": "systems.sampled",
     "care": "equations.are",
@@ -184,9 +197,12 @@ _HOME = {
     "fuel_mpc": "predictive.fuel",
     "gang_of_four": "analysis.coprime",
     "gapmetric": "analysis.gap",
+    "gramians": "analysis.hankel",
     "h2norm": "analysis.norms",
     "hinfnorm": "analysis.norms",
     "hinfsyn": "synthesis.hinfinity",
+    "hsvd": "analysis.hankel",
+    "hsvplot": "delivery.hankelplots",
     "impulse": "delivery.timeplots",
     "kalmd": "regulators.sampledlqg",
     "keygen": "delivery.signatures",
@@ -198,6 +214,7 @@ _HOME = {
     "margin": "proof.boxmargins",
     "margins": "proof.boxmargins",
     "minimum_fuel": "predictive.fuel",
+    "minreal": "analysis.hankel",
     "mixsyn": "synthesis.mixedsensitivity",
     "mpc": "predictive.horizon",
     "mussv": "analysis.mu",
@@ -216,6 +233,7 @@ _HOME = {
     "quaternion_pid": "regulators.quaternion",
     "read": "delivery.modelfiles",
     "read_study": "command.specification",
+    "reduce": "synthesis.reduction",
     "robstab": "proof.stability",
     "sdh2norm": "analysis.sampleddata",
     "sdhinfnorm": "analysis.sampleddata",

@@ -84,3 +84,15 @@ def mass_spring_chain(n: int) -> GeneralizedPlant:
         C1=np.vstack([I[:N], O((1, n))]), D11=O((N + 1, N + 1)), D12=np.eye(N + 1)[:, -1:],
         C2=I[:1], D21=0.1 * np.eye(N + 1)[-1:], D22=O((1, 1)), dt=0.2,
     )  # fmt: skip
+
+
+def aircraft_slicot() -> StateSpace:
+    """The example of AB09AD, AB09BD and AB13AD in SLICOT's documentation: seven states, 3 x 2."""
+    half = np.array([[-0.04165, 0, 4.92], [-5.21, -12.5, 0], [0, 3.33, -3.33]])
+    A = np.zeros((7, 7))
+    A[:3, :3] = A[4:, 4:] = half
+    A[0, 3], A[3, 0], A[3, 4], A[4, 3] = -4.92, 0.545, -0.545, 4.92
+    B, C = np.zeros((7, 2)), np.zeros((3, 7))
+    B[1, 0] = B[5, 1] = 12.5
+    C[0, 0] = C[1, 3] = C[2, 4] = 1
+    return StateSpace(A, B, C, np.zeros((3, 2)))

@@ -79,6 +79,7 @@ RIGHT: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "Sdre.create": (
         synth.Sdre.create, {"model": synth.QuaternionModel.create(np.eye(3)), "dt": 0.1, "Q": None, "R": None}
     ),
+    "Reduction.plot": (synth.reduce(G, 1).plot, {"ax": None}),
     "Design.save": (shaped().save, {"path": "design.json"}),
     "Design.certify": (shaped().certify, {"lower": None, "upper": None}),
 }  # fmt: skip

@@ -27,7 +27,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from synth.errors import AssumptionError, NumericalError
-from synth.systems.modes import doubts
+from synth.systems.modes import decay, doubts
 from synth.systems.realization import Matrices, balanced, in_principal_axes, is_singular
 from synth.systems.sampled import inverse_cayley, pole_rate
 from synth.systems.statespace import StateSpace
@@ -74,7 +74,7 @@ def difference(G: StateSpace, G0: StateSpace, kind: str, i: int, dt: float) -> D
     model, middle = G.frequency_response(omega), G0.frequency_response(omega)
     if kind == ADDITIVE:
         exact, size = model - middle, np.linalg.norm(model, axis=(1, 2)) + np.linalg.norm(middle, axis=(1, 2))
-        rounded = _rounding(G, omega) + _rounding(G0, omega)
+        rounded = blur(G, omega) + blur(G0, omega)
     else:
         exact, size, rounded = np.linalg.solve(middle.mT, (model - middle).mT).mT, 1.0, ROUNDED
     expected = np.linalg.norm(exact, 2, axis=(1, 2))
@@ -113,8 +113,8 @@ def _difference(G: StateSpace, G0: StateSpace) -> tuple[StateSpace, int, bool]:
     """G - G0 without poles on the boundary that cancel, the states of G, and whether those beyond it cancel."""
     fastest = float(np.abs(np.concatenate([G.poles(), G0.poles()])).max(initial=0.0))
     (values, axis, beyond), (values0, axis0, beyond0) = _poles(G.A), _poles(G0.A)
-    stable = _same(_split(G, (values, beyond))[1], _split(G0, (values0, beyond0))[1], fastest)
-    (rest, part), (rest0, part0) = _split(G, (values, axis)), _split(G0, (values0, axis0))
+    stable = _same(split(G, (values, beyond))[1], split(G0, (values0, beyond0))[1], fastest)
+    (rest, part), (rest0, part0) = split(G, (values, axis)), split(G0, (values0, axis0))
     if _same(part, part0, fastest):
         G, G0 = rest, rest0
     A = np.asarray(sla.block_diag(G.A, G0.A)).reshape(G.n + G0.n, G.n + G0.n)
@@ -161,11 +161,11 @@ def _cleaned(D: np.ndarray, rounded: np.ndarray) -> np.ndarray:
     return np.where(np.abs(D) <= rounded, 0.0, D)
 
 
-def _rounding(G: StateSpace, omega: np.ndarray) -> np.ndarray:
+def blur(G: StateSpace, omega: np.ndarray) -> np.ndarray:
     """What rounding of A may change of a response, (k,)."""
     changes = []
-    for w in omega:
-        E = 1j * w * np.eye(G.n) - G.A
+    for s in np.exp(1j * omega * G.dt) if G.discrete else 1j * omega:
+        E = s * np.eye(G.n) - G.A
         left, right = np.linalg.solve(E.T, G.C.T), np.linalg.solve(E, G.B)
         changes.append(np.linalg.norm(left) * np.linalg.norm(G.A) * np.linalg.norm(right))
     return 10 * np.finfo(float).eps * np.array(changes)
@@ -217,14 +217,14 @@ def _driven(E: StateSpace, n: int, chosen: Poles, scale: np.ndarray) -> tuple[np
     return U, V, Y, bool(np.any(np.linalg.norm(drive, axis=0) > SHARED * size))
 
 
-def _split(G: StateSpace, chosen: Poles) -> tuple[StateSpace, StateSpace]:
-    """What is left of a system without chosen poles, and the part with them, which has no direct term."""
+def split(G: StateSpace, chosen: Poles) -> tuple[StateSpace, StateSpace]:
+    """What is left of a system without chosen poles, and the part with them, which has no direct term; G is the sum."""
     U, V, L = _invariant(G.A, chosen)
     rest = V.T @ G.A @ V
     X = _sylvester(L, rest, -U.T @ G.A @ V)
     B = V.T @ G.B
-    part = StateSpace(L, U.T @ G.B - X @ B, G.C @ U, np.zeros_like(G.D), 0.0)
-    return StateSpace(rest, B, G.C @ (U @ X + V), G.D, 0.0), part
+    part = StateSpace(L, U.T @ G.B - X @ B, G.C @ U, np.zeros_like(G.D), G.dt)
+    return StateSpace(rest, B, G.C @ (U @ X + V), G.D, G.dt), part
 
 
 def _same(G: StateSpace, G0: StateSpace, fastest: float) -> bool:
@@ -289,14 +289,27 @@ def _poles(A: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     Multiple integrators, whose poles rounding moves far, are told by the polynomial of their cluster.
     """
     values, doubt = doubts(A)
-    size = np.abs(values)
-    axis = np.abs(np.real(values)) <= np.maximum(doubt, ON_AXIS * size)
-    nearest, whole = np.argsort(size), _size(A, values)
+    axis = np.abs(np.real(values)) <= np.maximum(doubt, ON_AXIS * np.abs(values))
+    axis |= integrators(A, values, discrete=False)
+    return values, axis, ~axis & (np.real(values) > 0)
+
+
+def persistent(A: np.ndarray, *, discrete: bool) -> Poles:
+    """Poles, and which of them may be on or beyond the stability boundary, for all that rounding lets one know."""
+    values, doubt = doubts(A)
+    return values, (decay(values, discrete=discrete) <= doubt) | integrators(A, values, discrete=discrete)
+
+
+def integrators(A: np.ndarray, values: np.ndarray, *, discrete: bool) -> np.ndarray:
+    """Which eigenvalues of A are at rest, z = 1 or s = 0, but for rounding, (n,), told by the polynomial of all."""
+    if discrete:
+        A, values = A - np.eye(len(A)), values - 1
+    found, nearest, whole = np.zeros(len(values), bool), np.argsort(np.abs(values)), _size(A, values)
     for k in range(len(values), 0, -1):
         if np.all(np.abs(np.poly(values[nearest[:k]] / whole)[1:]) <= CLUSTER):
-            axis[nearest[:k]] = True
+            found[nearest[:k]] = True
             break
-    return values, axis, ~axis & (np.real(values) > 0)
+    return found
 
 
 def prepared(G: StateSpace) -> StateSpace:

@@ -9,13 +9,48 @@ time); Smith (1968), SIAM J. Applied Mathematics 16, 198 (doubling).
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import scipy.linalg as sla
 
+from synth.systems.sampled import cayley, pole_rate
 from synth.systems.statespace import StateSpace
 
 MAX_DOUBLINGS = 64  # 2^64 samples: no stable double is slower
 SETTLED = 1e-17  # norm of a power of A that adds nothing any more
+
+
+class Balancing(NamedTuple):
+    """Factors of two Gramians and the singular values of their product, the Hankel singular values."""
+
+    reached: np.ndarray  # (n, r) L with L L' = reachability Gramian
+    seen: np.ndarray  # (n, q) M with M M' = observability Gramian
+    U: np.ndarray  # (q, q) of the singular value decomposition of M'L
+    sigma: np.ndarray  # (min(q, r)) largest first
+    Vt: np.ndarray  # (r, r)
+
+    @classmethod
+    def of(cls, reached: np.ndarray, seen: np.ndarray) -> Balancing:
+        """From the two factors."""
+        return cls(reached, seen, *np.linalg.svd(seen.T @ reached))
+
+    def projection(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """T (n, k) and Ti (k, n) with Ti T = I on the first k balanced states, x = T x_new.
+
+        Nothing is inverted but singular values that are kept (Tombs and Postlethwaite 1987, Int. J. Control 46, 1319).
+        """
+        root = np.sqrt(self.sigma[:k])
+        return self.reached @ self.Vt[:k].T / root, (self.seen @ self.U[:, :k] / root).T
+
+
+def gramian_factors(G: StateSpace) -> tuple[np.ndarray, np.ndarray]:
+    """L and M, (n, <= n), with L L' and M M' the Gramians of a stable system; the Cayley map keeps both."""
+    if not G.n:
+        return np.zeros((0, 0)), np.zeros((0, 0))
+    H = G if G.discrete else cayley(G, pole_rate(G.poles()))
+    A, Z = sla.schur(H.A, output="real")[:2]
+    return Z @ gramian_factor(A, Z.T @ H.B), Z @ gramian_factor(A.T, Z.T @ H.C.T)
 
 
 def balanced_truncation(G: StateSpace, error: float) -> tuple[StateSpace, float]:
@@ -29,12 +64,16 @@ def balanced_truncation(G: StateSpace, error: float) -> tuple[StateSpace, float]
     reached, seen = gramian_factor(A, B), gramian_factor(A.T, C.T)
     if not (np.isfinite(reached).all() and np.isfinite(seen).all()):  # so near the boundary that rounding crosses it
         return G, 0.0
-    U, sigma, Vt = np.linalg.svd(seen.T @ reached)
-    tails = 2 * np.append(np.cumsum(sigma[::-1])[::-1], 0.0)  # of what is left out when k are kept
+    balancing = Balancing.of(reached, seen)
+    tails = bounds(balancing.sigma)
     k = int(np.argmax(tails <= error))
-    root = np.sqrt(sigma[:k])
-    T, Ti = reached @ Vt[:k].T / root, (seen @ U[:, :k] / root).T
+    T, Ti = balancing.projection(k)
     return StateSpace(Ti @ A @ T, Ti @ B, C @ T, G.D, G.dt), float(tails[k])
+
+
+def bounds(sigma: np.ndarray) -> np.ndarray:
+    """Twice the sum of the values left out, (len(sigma) + 1), when 0, 1, ... are kept."""
+    return 2 * np.append(np.cumsum(sigma[::-1])[::-1], 0.0)
 
 
 def rounding(G: StateSpace) -> float:
