@@ -304,7 +304,7 @@ RIGHT: dict[str, dict[str, Any]] = {
     "read": {"path": "plant.json"},
     "read_study": {"path": "nothing.toml"},
     "reduce": {"G": CONTINUOUS, "order": 1, "error": None, "loss": None, "method": "auto", "input_weight": None,
-               "output_weight": CONTINUOUS},
+               "output_weight": CONTINUOUS, "plant": None},
     "rounding": {"controller": SAMPLED, "inputs": 1.0, "precision": "float32", "plant": -0.1, "commands": 1.0,
                  "umin": -1.0, "umax": 1.0, "antiwindup": None},
     "series": {"G": CONTINUOUS, "H": CONTINUOUS},

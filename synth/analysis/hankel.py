@@ -255,7 +255,7 @@ def minreal(G: Any, tol: float = SAME) -> StateSpace:
 
 
 def _smaller(G: StateSpace, ranks: tuple[float, ...]) -> Iterator[StateSpace]:
-    """By staircases, and by singular values of the stable part; `ranks`: relative sizes of what counts as nothing."""
+    """By staircases, of all or of what is not stable, and singular values of the rest; `ranks` count as nothing."""
 
     def staircase(H: StateSpace, rank: float) -> StateSpace:
         return replace(H, **minimal(H.matrices, rank)._asdict())
@@ -266,6 +266,5 @@ def _smaller(G: StateSpace, ranks: tuple[float, ...]) -> Iterator[StateSpace]:
         b = balancing(stable)
     except NumericalError:
         return
-    for rank in ranks:
-        k = int(np.sum(b.sigma > rank * b.sigma.max(initial=0.0)))
-        yield joined(staircase(kept, rank), projected(stable, *b.projection(k)))
+    small = projected(stable, *b.projection(meaningful(b.sigma)))
+    yield from (joined(staircase(kept, rank), small) for rank in ranks)

@@ -30,9 +30,9 @@ from synth.files import provenance
 from synth.synthesis.design import Design
 from synth.synthesis.dkiteration import MuDesign
 from synth.synthesis.hinfinity import slowest_pole
-from synth.synthesis.info import SAMPLED
+from synth.synthesis.info import SAMPLED, Info
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace, as_system
+from synth.systems.statespace import StateSpace, as_system, common_timebase, retimed
 from synth.threads import one_thread
 
 FAILS = (SynthError, np.linalg.LinAlgError)  # how a controller is found to be none
@@ -50,7 +50,17 @@ def reduce(
     method: str = "auto",
     input_weight: Any = None,
     output_weight: Any = None,
+    plant: None = None,
 ) -> Reduction: ...
+@overload
+def reduce(
+    G: Any,
+    order: int | None = None,
+    *,
+    loss: float | None = None,
+    method: str = "auto",
+    plant: GeneralizedPlant,
+) -> Design: ...
 @one_thread
 @numerical
 def reduce(
@@ -62,6 +72,7 @@ def reduce(
     method: str = "auto",
     input_weight: Any = None,
     output_weight: Any = None,
+    plant: GeneralizedPlant | None = None,
 ) -> Any:
     """A system, or the controller of a design, with fewer states, and what that costs: measured, not only bounded.
 
@@ -77,18 +88,21 @@ def reduce(
         "coprime" (normalised coprime factors: unstable modes count like others and may move, and the units of u and y
         are weights); "auto" of a design tries all
     input_weight, output_weight : of a system, stable, for the error `output_weight (G - Gr) input_weight`
+    plant : where G is a controller that is no Design: the plant that it closes by u = G y (positive feedback), whose
+        norm from w to z judges it as if it were one; `gang_of_four(P)` for a plant from u to y
 
     Returns
     -------
     Reduction : `system`, `order`, `error` as measured, `bound` from the Hankel singular values, `singular_values`; it
         can be passed on as a system. Modes on or beyond the stability boundary stay with "truncate" and "matchdc".
-    Design : of a design, with the closed loop and `gamma` measured anew; `info.status` says how it came about. Where no
-        lower order is within the loss it is the design that was given
+    Design : of a design, or with `plant`, with the closed loop and `gamma` measured anew; `info.status` says how. Where
+        no lower order is within the loss it is the design that was given
 
     Raises
     ------
     ModelError : not one of `order`, `error` and `loss`, or one that does not belong to G; an order below the number of
         modes that stay; a weight that is not stable or does not fit; a MuDesign, which its norm does not judge.
+    VerificationError : with `plant`: its loop with G is not stable.
     InfeasibleError : no controller of that order that was tried stabilises the loop.
     NumericalError : doubles cannot tell stable from other modes, or what is left is not stable.
     AssumptionError : "coprime", of a system with an unstable mode that is not reached or not seen.
@@ -106,19 +120,43 @@ def reduce(
     1
     """
     as_choice("method", method, ("auto", *METHODS))
+    if plant is not None:
+        G = _as_design(G, plant)
     if not isinstance(G, Design):
         if loss is not None:
-            raise ModelError(f"loss is {shown(loss)}, and G is no Design: a system has an order or an error to pass")
+            raise ModelError(
+                f"loss is {shown(loss)}, but G is no Design and closes no plant; pass order or error, or the plant"
+            )
         found = as_system("G", G)
         return reduced(found, order, error, TRUNCATE if method == "auto" else method, input_weight, output_weight)
     for name, value in (("error", error), ("input_weight", input_weight), ("output_weight", output_weight)):
         if value is not None:
-            raise ModelError(f"{name} is {shown(value)}, and G is a Design, whose loop judges: pass order or loss")
+            raise ModelError(
+                f"{name} is {shown(value)}, but the loop of a Design judges, or that with plant: pass order or loss"
+            )
     if isinstance(G, MuDesign):
         raise ModelError("G is a MuDesign, which its norm does not judge; pass G.controller, and measure mu again")
     if (order is None) == (loss is None):
         raise ModelError(f"order is {shown(order)} and loss is {shown(loss)}; pass one of them")
     return _of_design(G, order, loss, METHODS if method == "auto" else (method,))
+
+
+def _as_design(K: Any, plant: Any) -> Design:
+    """A controller that came about elsewhere, and the loop that it closes."""
+    if isinstance(K, Design) or not isinstance(plant, GeneralizedPlant):
+        raise ModelError(
+            f"plant is {shown(plant)}; pass the GeneralizedPlant that the controller G closes, or a Design alone"
+        )
+    K = as_system("G", K, plant.dt)
+    K = retimed(K, common_timebase(StateSpace.gain(0.0, plant.dt), K, ("plant", "G")))
+    (loop, measured), (versions, date) = judge(plant, K), provenance()
+    slowest, why = slowest_pole(plant, measured.poles)
+    info = Info(
+        method="given", status="designed elsewhere", level=measured.norm, optimum=None,
+        spectral_radius=measured.spectral_radius, slowest=slowest, frequency=measured.frequency, seconds=0.0,
+        solver="none", tolerance=0.0, failures={}, versions=versions, date=date, warnings=why,
+    )  # fmt: skip
+    return Design(plant, K, loop, measured.norm, info)
 
 
 class _Cut(NamedTuple):

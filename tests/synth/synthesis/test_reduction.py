@@ -15,10 +15,13 @@ from synth import (
     ModelError,
     StateSpace,
     SynthError,
+    VerificationError,
     augw,
     c2d,
+    gang_of_four,
     hinfnorm,
     hinfsyn,
+    lqg,
     mixsyn,
     musyn,
     ncfsyn,
@@ -131,6 +134,26 @@ def test_what_cannot_be_is_refused_by_name(cubesat):
         reduce(unstable, 0)
     assert caught.value.best == unstable.gamma
     assert reduce(cubesat, 6) is cubesat or reduce(cubesat, 6).gamma <= cubesat.gamma * (1 + 1e-6)
+
+
+def test_controllers_that_were_designed_elsewhere(tmp_path):
+    """An LQG regulator of a flexible body, judged by the four transfer functions of its loop."""
+    G = system([0.2, 0.01, 1], [0.2, 0.01, 1.2, 0, 0])
+    K = lqg(G, np.diag([1.0] * 4 + [1.0]), np.diag([1.0] * 4 + [1.0]))
+    P = gang_of_four(G)
+    full = hinfnorm(P.close(K))[0]
+    found = reduce(K, loss=0.1, plant=P)
+    assert found.controller.n < 4
+    assert measured(found) <= 1.1 * full * (1 + 1e-6)
+    assert Design.load(found.save(tmp_path / "reduced.json")).info.method == "given"
+    with pytest.raises(VerificationError, match="unstable"):
+        reduce(-system(K), 2, plant=P)
+    for call in (
+        lambda: reduce(K, 2, plant=G), lambda: reduce(found, 2, plant=P), lambda: reduce(K, error=0.1, plant=P),
+        lambda: reduce(c2d(system(K), 0.1), 2, plant=P),
+    ):  # fmt: skip
+        with pytest.raises(ModelError):
+            call()
 
 
 def test_no_loss_leaves_the_design_or_one_as_good(cubesat):
