@@ -145,8 +145,8 @@ def reduced(
         measured = problem.error(found) if stays else np.inf
         if order is not None and not stays:
             raise NumericalError(
-                f"the {order} states that are left are not stable, though the system is: Hankel singular values "
-                f"{k - 1} and {k} are too near each other, or two-sided weights forbid it; pass another order"
+                f"order is {order}: what is left is not stable, though the stable part of G is; values {k} and "
+                f"{k + 1} of it are too near each other, or two-sided weights forbid the cut: pass another order"
             )
         if stays and (error is None or measured <= error):
             bound = None if weights != (None, None) else float(tails[k])

@@ -27,13 +27,14 @@ class Balancing(NamedTuple):
     reached: np.ndarray  # (n, r) L with L L' = reachability Gramian
     seen: np.ndarray  # (n, q) M with M M' = observability Gramian
     U: np.ndarray  # (q, q) of the singular value decomposition of M'L
-    sigma: np.ndarray  # (min(q, r)) largest first
+    sigma: np.ndarray  # (min(n, q, r)) largest first
     Vt: np.ndarray  # (r, r)
 
     @classmethod
     def of(cls, reached: np.ndarray, seen: np.ndarray) -> Balancing:
-        """From the two factors."""
-        return cls(reached, seen, *np.linalg.svd(seen.T @ reached))
+        """From the two factors, which may have more columns than there are states."""
+        U, sigma, Vt = np.linalg.svd(seen.T @ reached)
+        return cls(reached, seen, U, sigma[: len(reached)], Vt)
 
     def projection(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """T (n, k) and Ti (k, n) with Ti T = I on the first k balanced states, x = T x_new.
