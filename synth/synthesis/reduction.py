@@ -168,11 +168,9 @@ class _Cut(NamedTuple):
     balancing: Balancing
 
     def controller(self, order: int) -> StateSpace | None:
-        """With that many states, or None."""
-        k = order - self.parts.kept.n
-        if not 0 <= k <= meaningful(self.balancing.sigma):
-            return None
-        return joined(self.parts.kept, cut(self.parts.stable, self.balancing, k, self.method))
+        """With that many states, or fewer where fewer are all there is; None where more of them stay."""
+        k = min(order - self.parts.kept.n, meaningful(self.balancing.sigma))
+        return None if k < 0 else joined(self.parts.kept, cut(self.parts.stable, self.balancing, k, self.method))
 
 
 class _Found(NamedTuple):

@@ -136,6 +136,16 @@ def test_what_cannot_be_is_refused_by_name(cubesat):
     assert reduce(cubesat, 6) is cubesat or reduce(cubesat, 6).gamma <= cubesat.gamma * (1 + 1e-6)
 
 
+def test_states_that_do_nothing_are_all_left_out(cubesat):
+    K = cubesat.controller
+    idle = StateSpace(0.5 * np.eye(3), np.zeros((3, K.nu)), np.ones((K.ny, 3)), np.zeros_like(K.D), K.dt)
+    design = replace(cubesat, controller=K + idle)
+    for order in (3, 7, 8):
+        found = reduce(design, order)
+        assert found.controller.n <= min(order, 6)
+        np.testing.assert_allclose(found.gamma, reduce(cubesat, min(order, 6)).gamma, rtol=1e-6)
+
+
 def test_controllers_that_were_designed_elsewhere(tmp_path):
     """An LQG regulator of a flexible body, judged by the four transfer functions of its loop."""
     G = system([0.2, 0.01, 1], [0.2, 0.01, 1.2, 0, 0])
