@@ -300,6 +300,12 @@ def persistent(A: np.ndarray, *, discrete: bool) -> Poles:
     return values, (decay(values, discrete=discrete) <= doubt) | integrators(A, values, discrete=discrete)
 
 
+def resting(A: np.ndarray, *, discrete: bool) -> Poles:
+    """Poles, and which of them are integrators."""
+    values = np.linalg.eigvals(A)
+    return values, integrators(A, values, discrete=discrete)
+
+
 def integrators(A: np.ndarray, values: np.ndarray, *, discrete: bool) -> np.ndarray:
     """Which eigenvalues of A are at rest, z = 1 or s = 0, but for rounding, (n,), told by the polynomial of all."""
     if discrete:

@@ -10,14 +10,14 @@ Zhou, Salomon and Wu (1999), Int. J. Robust and Nonlinear Control 9, 183 (unstab
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg as sla
 
-from synth.analysis.differences import blur, integrators, persistent, split
+from synth.analysis.differences import Poles, blur, integrators, persistent, split
 from synth.analysis.norms import in_principal_axes
 from synth.analysis.truncation import Balancing, gramian_factors
 from synth.checks import as_number, numerical
@@ -54,15 +54,15 @@ class Balanced(NamedTuple):
     singular_values: np.ndarray  # (order), largest first
 
 
-def parts(G: StateSpace) -> Parts:
-    """The stable part of a system in good coordinates, and the modes that no reduction may touch.
+def parts(G: StateSpace, which: Callable[..., Poles] = persistent) -> Parts:
+    """The stable part of a system in good coordinates, and the modes that no reduction may touch, or other ones.
 
     Raises
     ------
     NumericalError : modes on both sides of the stability boundary are too near each other to be told apart.
     """
     G = in_principal_axes(G)
-    chosen = persistent(G.A, discrete=G.discrete)
+    chosen = which(G.A, discrete=G.discrete)
     if not chosen[1].any():
         return Parts(G, StateSpace.gain(np.zeros_like(G.D), G.dt))
     found = Parts(*split(G, chosen))

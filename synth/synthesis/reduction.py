@@ -2,9 +2,9 @@
 
 A controller is judged in its loop. Its states are balanced there: of the Gramians of the closed loop from w to z the
 blocks of the controller's states, so that states count as far as w moves them and z feels them. Unstable controllers
-and integrators need no exception, because the loop is stable. They are cut as a whole, or stay while the others are
-cut; besides, the normalised coprime factors of the controller are. All that comes of it is measured by the judge, and
-the best of one order is kept.
+need no exception, because the loop is stable: their modes are cut with the others, or stay while the others are cut.
+Integrators always stay, unless "coprime" is asked for, which cuts the normalised coprime factors of the controller.
+All that comes of it is measured by the judge, and the best of one order is kept.
 
 References: Ceton, Wortelboer and Bosgra (1993), 2nd ECC, 907 (closed-loop balancing); Anderson and Liu (1989), IEEE
 TAC 34, 802 (controller reduction).
@@ -19,13 +19,14 @@ from typing import Any, NamedTuple, overload
 
 import numpy as np
 
+from synth.analysis.differences import persistent, resting
 from synth.analysis.hankel import Parts, balancing, grid, joined, meaningful, parts
 from synth.analysis.norms import Verification, in_principal_axes, is_stable, judge
 from synth.analysis.reduce import COPRIME, MATCHDC, METHODS, TRUNCATE, Reduction, coprime_balancing, cut, reduced
 from synth.analysis.sampleddata import intersample
 from synth.analysis.truncation import Balancing, gramian_factors
 from synth.checks import as_choice, as_number, as_whole, numerical, shown
-from synth.errors import InfeasibleError, ModelError, SynthError
+from synth.errors import InfeasibleError, ModelError, NumericalError, SynthError
 from synth.files import provenance
 from synth.synthesis.design import Design
 from synth.synthesis.dkiteration import MuDesign
@@ -207,17 +208,17 @@ def _of_design(design: Design, order: int | None, loss: float | None, methods: t
 
 
 def _cuts(P: GeneralizedPlant, K: StateSpace, methods: tuple[str, ...]) -> Iterator[_Cut]:
-    """All ways: with and without the modes that stay, truncated and residualised, and by coprime factors."""
+    """All ways: what stays are integrators, or all that is not stable; truncated, residualised; coprime factors."""
     _, _, nu, _, ny = P.sizes
     P = GeneralizedPlant.partition(in_principal_axes(StateSpace(*P.system.matrices, P.dt)), ny, nu)
-    none = StateSpace.gain(np.zeros_like(K.D), K.dt)
-    ways = [("states balanced in the loop", Parts(K, none))]
-    try:
-        own = parts(K)
-        if own.kept.n:
-            ways.append(("stable states balanced in the loop", own))
-    except FAILS:  # then all modes are cut alike
-        pass
+    ways: list[tuple[str, Parts]] = []
+    for name, which in (("states", resting), ("stable states", persistent)):
+        try:
+            found = parts(K, which)
+        except NumericalError:  # then all modes are cut alike
+            found = Parts(K, StateSpace.gain(np.zeros_like(K.D), K.dt))
+        if not ways or found.kept.n > ways[0][1].kept.n:
+            ways.append((f"{name} balanced in the loop", found))
     for name, each in ways:
         reached, seen = gramian_factors(P.close(joined(each.kept, each.stable)))
         first = P.sizes[0] + each.kept.n
@@ -228,8 +229,9 @@ def _cuts(P: GeneralizedPlant, K: StateSpace, methods: tuple[str, ...]) -> Itera
         for method, how in ((TRUNCATE, "truncated"), (MATCHDC, "residualised")):
             if method in methods:
                 yield _Cut(f"{name}, {how}", method, each, balanced)
-    if COPRIME in methods:
+    if COPRIME in methods and (methods == (COPRIME,) or not ways[0][1].kept.n):
         try:
+            none = StateSpace.gain(np.zeros_like(K.D), K.dt)
             yield _Cut("coprime factors, truncated", TRUNCATE, Parts(K, none), coprime_balancing(K))
         except FAILS:  # a controller with modes that do nothing, which the others leave out
             return

@@ -96,6 +96,21 @@ def test_integrators_and_continuous_designs():
     np.testing.assert_allclose(slow[1], slow[0], rtol=0.5)
 
 
+@pytest.mark.parametrize("dt", [0.0, 0.05])
+def test_integrators_of_controllers_stay(dt):
+    """A PID with filters on a flexible body: whatever z is, the loop goes on to be exact at rest."""
+    G = system([1.0], np.polymul([1, 0.5], [1, 0.2, 4]))
+    K = system([-0.5], [1, 0]) * system([1, 0.5], [0.1, 1]) * system([1, 0.2, 4], np.polymul([1, 4, 8], [0.02, 1]))
+    G, K = (c2d(H, dt) if dt else H for H in (G, K))
+    P = gang_of_four(G)
+    assert is_stable(P.close(K))
+    for method in ("auto", "truncate", "matchdc"):
+        found = reduce(K, 3, plant=P, method=method)
+        assert np.abs(found.controller.poles() - (1 if dt else 0)).min() < 1e-9
+        assert np.abs(P.close(found.controller).dcgain()[:1, 0]).max() < 1e-6  # of the output, with its disturbance
+    assert reduce(K, loss=0.05, plant=P).controller.n < K.n
+
+
 def test_loop_shaping_designs_keep_their_weights():
     G = c2d(double_integrator_axes(np.random.default_rng(1)), 0.1)
     design = ncfsyn(G, W1=2.0)
