@@ -199,10 +199,10 @@ def _of_design(design: Design, order: int | None, loss: float | None, methods: t
             return _finished(design, best, time.perf_counter() - started)
     if order is None or order == K.n:
         return design
+    why = "; ".join(f"{name}: {reason}" for name, reason in reasons.items()) or "more modes of it stay"
     raise InfeasibleError(
-        f"order is {order}: no controller of that order was found that stabilises the loop ("
-        + "; ".join(f"{name}: {reason}" for name, reason in reasons.items())
-        + f"); pass loss= to have the order found, or a higher one (the design has {K.n})",
+        f"order is {order}: no controller of that order was found that stabilises the loop ({why}); pass loss= to have "
+        f"the order found, or a higher one (the design has {K.n})",
         best=design.gamma,
     )
 
@@ -220,9 +220,9 @@ def _cuts(P: GeneralizedPlant, K: StateSpace, methods: tuple[str, ...]) -> Itera
         if not ways or found.kept.n > ways[0][1].kept.n:
             ways.append((f"{name} balanced in the loop", found))
     for name, each in ways:
-        reached, seen = gramian_factors(P.close(joined(each.kept, each.stable)))
         first = P.sizes[0] + each.kept.n
         try:
+            reached, seen = gramian_factors(P.close(joined(each.kept, each.stable)))
             balanced = balancing(each.stable, reached[first:], seen[first:])
         except FAILS:
             continue
@@ -242,11 +242,12 @@ def _measured(design: Design, one: _Cut, order: int, level: float, reasons: dict
     P = design.plant
     try:
         K = one.controller(order)
-        if K is None or (np.isfinite(level) and _exceeds(P.close(K), level)):
+        between_samples = design.info.method == SAMPLED
+        if K is None or (np.isfinite(level) and not between_samples and _exceeds(P.close(K), level)):
             return None
         loop, measured = judge(P, K)
         norm = measured.norm
-        if design.info.method == SAMPLED:
+        if between_samples:
             between = intersample(P, K)
             norm = np.inf if between is None else between.upper
     except FAILS as error:

@@ -109,6 +109,8 @@ def test_integrators_of_controllers_stay(dt):
         assert np.abs(found.controller.poles() - (1 if dt else 0)).min() < 1e-9
         assert np.abs(P.close(found.controller).dcgain()[:1, 0]).max() < 1e-6  # of the output, with its disturbance
     assert reduce(K, loss=0.05, plant=P).controller.n < K.n
+    with pytest.raises(InfeasibleError, match="order is 0"):
+        reduce(K, 0, plant=P)
 
 
 def test_loop_shaping_designs_keep_their_weights():
