@@ -41,6 +41,7 @@ MOVED = 1e-6  # of the size of A: poles that are all integrators
 SHARED = 1e-8  # of what it was summed from: what drives a pole on the boundary that models share
 ON_AXIS = 1e-7  # relative distance of a pole to the stability boundary
 CLUSTER = 1e-13  # coefficients of the polynomial of poles, relative to the size of A, that are integrators
+MADE = 30  # doubts of an eigenvalue: what the roundings of the computation that made A, a hold for example, may add
 AT_REST = 1e-4  # of the fastest: poles on the boundary that may be integrators
 BESIDE = 1.001  # of a resonance, where the response of an undamped one is finite
 AGREES = 1e-3  # relative error of the response of an error system beyond which it is refused
@@ -297,7 +298,7 @@ def _poles(A: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def persistent(A: np.ndarray, *, discrete: bool) -> Poles:
     """Poles, and which of them may be on or beyond the stability boundary, for all that rounding lets one know."""
     values, doubt = doubts(A)
-    return values, (decay(values, discrete=discrete) <= doubt) | integrators(A, values, discrete=discrete)
+    return values, (decay(values, discrete=discrete) <= MADE * doubt) | integrators(A, values, discrete=discrete)
 
 
 def resting(A: np.ndarray, *, discrete: bool) -> Poles:

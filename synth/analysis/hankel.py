@@ -67,7 +67,7 @@ def parts(G: StateSpace, which: Callable[..., Poles] = persistent) -> Parts:
         return Parts(G, StateSpace.gain(np.zeros_like(G.D), G.dt))
     found = Parts(*split(G, chosen))
     *sizes, off = _responses(G, *found)
-    if np.any(off > AGREES * sum(sizes)):
+    if np.any(off > AGREES * sum(sizes) + blur(G, grid(G))):
         raise NumericalError(
             "modes on or beyond the stability boundary cannot be told from stable ones next to them; take slow modes "
             'for integrators, or reduce with method="coprime", which does not part them'

@@ -97,6 +97,20 @@ def test_coordinates_and_the_unit_of_time_change_nothing(family, seed, kind, dec
     np.testing.assert_allclose(found[finite], sigma[finite], rtol=1e-6, atol=10 * LOST * top)
 
 
+@pytest.mark.parametrize("family", ["flexible", "orbiting", "double integrators", "integrator chain", "modal"])
+@pytest.mark.parametrize("part", [1e-6, 1e-4, 1e-2])
+def test_fast_sampling_keeps_the_values(family, part):
+    """Undamped modes and integrators stay what they are, however many samples they take."""
+    for seed in range(10):
+        G = PLANTS[family](np.random.default_rng([9, seed]))
+        expected = hsvd(G)
+        found = hsvd(c2d(G, part / max(np.abs(G.poles()).max(), 1e-3)))
+        finite = np.isfinite(expected)
+        np.testing.assert_array_equal(np.isfinite(found), finite)
+        top = expected[finite].max(initial=0.0)
+        np.testing.assert_allclose(found[finite], expected[finite], rtol=0.05, atol=1e-6 * top)
+
+
 @settings(max_examples=30, **QUIET)
 @given(*DRAWS)
 def test_balanced_realisations_are_the_same_system(family, seed):
