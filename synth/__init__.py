@@ -110,6 +110,8 @@ if TYPE_CHECKING:
     from synth.synthesis.design import Shaping as Shaping
     from synth.synthesis.dkiteration import MuDesign as MuDesign
     from synth.synthesis.dkiteration import musyn as musyn
+    from synth.synthesis.h2 import H2Design as H2Design
+    from synth.synthesis.h2 import h2syn as h2syn
     from synth.synthesis.hinfinity import hinfsyn as hinfsyn
     from synth.synthesis.loopshaping import ncfsyn as ncfsyn
     from synth.synthesis.mixedsensitivity import augw as augw
@@ -140,6 +142,7 @@ _HOME = {
     "Certificate": "proof.certify",
     "Controller": "regulators.controller",
     "Design": "synthesis.design",
+    "H2Design": "synthesis.h2",
     "Estimator": "regulators.sampledlqg",
     "EulerModel": "regulators.sdc",
     "ExportError": "errors",
@@ -199,6 +202,7 @@ _HOME = {
     "gapmetric": "analysis.gap",
     "gramians": "analysis.hankel",
     "h2norm": "analysis.norms",
+    "h2syn": "synthesis.h2",
     "hinfnorm": "analysis.norms",
     "hinfsyn": "synthesis.hinfinity",
     "hsvd": "analysis.hankel",

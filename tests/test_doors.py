@@ -100,6 +100,7 @@ def weighted(G: Any) -> Any:
     return synth.augw(G, 1.0, 0.1).system.to_control()
 
 
+ONES = dict.fromkeys(("Wdist", "Wnoise", "Wout", "Wact"), 1.0)
 # z = G (w + u) + 0.1 u, y = G (w + u), with a G that the plant of this file stabilises
 HELD = synth.system([[-1.0]], [[1.0, 1.0]], [[1.0], [-1.0]], [[0.0, 0.1], [0.0, 0.0]])
 
@@ -127,6 +128,8 @@ OF_A_SYSTEM: dict[str, Callable[[Any, float], Any]] = {
     "gapmetric": lambda G, dt: np.array(synth.gapmetric(G, 2.0)),
     "gramians": lambda G, dt: np.linalg.eigvals(np.linalg.multi_dot(synth.gramians(G))),
     "h2norm": lambda G, dt: synth.h2norm(G),
+    "h2syn": lambda G, dt: synth.h2syn(synth.GeneralizedPlant.four_block(G, **ONES).system.to_control(), 1, 1).gamma
+    if dt or not synth.system(G).D.any() else 0.0,
     "hinfnorm": lambda G, dt: synth.hinfnorm(G)[0],
     "hinfsyn": lambda G, dt: gamma(synth.hinfsyn(synth.augw(G, 1.0, 0.1).system.to_control(), 1, 1)),
     "hsvd": lambda G, dt: synth.hsvd(G),
@@ -266,6 +269,7 @@ RIGHT: dict[str, dict[str, Any]] = {
     "gapmetric": {"G1": CONTINUOUS, "G2": CONTINUOUS},
     "gramians": {"G": CONTINUOUS},
     "h2norm": {"system": STRICT},
+    "h2syn": {"P": 1 - I, "nmeas": 1, "ncon": 1, "strictly_proper": True, "ncont": 1},
     "hinfnorm": {"system": CONTINUOUS, "tol": 1e-9},
     "hinfsyn": {"P": WEIGHTED.system, "nmeas": 1, "ncon": 1, "method": "riccati", "gamma": None, "tol": 1e-3,
                 "ncont": 1},

@@ -138,6 +138,12 @@ def conditioned(P: GeneralizedPlant) -> Conditioned:
     )  # fmt: skip
 
 
+def balanced(P: GeneralizedPlant) -> Conditioned:
+    """A plant, continuous or discrete, in units that are powers of two, so that the way back is exact; without D22."""
+    c = _balance(P)
+    return Conditioned(plant=_transformed(P, c), scale=1 / (c.w * c.z), T=c.T, Su=c.Su, Sy=c.Sy, D22=P.D22, w=c.w)
+
+
 class _Coordinates(NamedTuple):
     """x = T x_new, u = Su u_new, y_new = Sy y; w and z are plain factors on the gains from w and to z."""
 
