@@ -2,8 +2,8 @@
 
     [ P   AG   B    0   ]
     [ .   S    0    CG' ]  >= 0,   S = G + G' - P
-    [ .   .    g I  D'  ]
-    [ .   .    .    g I ]
+    [ .   .    a I  D'  ]
+    [ .   .    .    b I ]      a b = g^2, a = b = g where nothing else shares G
 
 Reference: de Oliveira, Geromel and Bernussou (2002), Int. J. Control 75, 666, theorem 2; with the output-feedback
 fillings of `loops.py` these are equations (16) and (20) of Pecorilla and Stesina (2024).
@@ -23,14 +23,17 @@ from synth.lmi.solve import BACKOFF, TOLERANCE, solve, staircase, value
 from synth.systems.statespace import StateSpace
 
 
-def hinf(loop: Loop, g):
-    """The matrix that is positive semidefinite when the loop's H-infinity norm is at most `g`."""
+def hinf(loop: Loop, a, b=None):
+    """The matrix that is positive semidefinite when the square of the loop's H-infinity norm is at most a b.
+
+    b is a where it is left out, the norm itself.
+    """
     nz, nw = loop.D.shape
     return staircase([
         [loop.P, loop.AG, loop.B,         0],
         [        loop.S,  0,              loop.CG.T],
-        [                 g * np.eye(nw), loop.D.T],
-        [                                 g * np.eye(nz)],
+        [                 a * np.eye(nw), loop.D.T],
+        [                                 (a if b is None else b) * np.eye(nz)],
     ])  # fmt: skip
 
 

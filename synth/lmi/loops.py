@@ -14,7 +14,8 @@ Ad1 to Dd1 stand for the unknowns An to Dn. The unknowns J and S of (16) are her
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cvxpy as cp
@@ -40,6 +41,10 @@ class Loop:
     def S(self) -> Any:
         """G + G' - P, (N, N)."""
         return self.G + self.G.T - self.P
+
+    def channel(self, z: Sequence[int], w: Sequence[int]) -> Loop:
+        """The loop from some w to some z, by their numbers."""
+        return replace(self, B=self.B[:, w], CG=self.CG[z, :], D=self.D[z, :][:, w])
 
 
 @dataclass(frozen=True)
