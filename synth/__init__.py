@@ -118,6 +118,13 @@ if TYPE_CHECKING:
     from synth.synthesis.mixedsensitivity import mixsyn as mixsyn
     from synth.synthesis.reduction import reduce as reduce
     from synth.synthesis.sampleddata import sdhinfsyn as sdhinfsyn
+    from synth.synthesis.specifications import H2 as H2
+    from synth.synthesis.specifications import Disc as Disc
+    from synth.synthesis.specifications import GeneralisedH2 as GeneralisedH2
+    from synth.synthesis.specifications import Hinf as Hinf
+    from synth.synthesis.specifications import StrictlyProper as StrictlyProper
+    from synth.synthesis.synthesize import Synthesis as Synthesis
+    from synth.synthesis.synthesize import synthesize as synthesize
     from synth.systems.connect import feedback as feedback
     from synth.systems.connect import lft as lft
     from synth.systems.connect import series as series
@@ -142,15 +149,19 @@ _HOME = {
     "Certificate": "proof.certify",
     "Controller": "regulators.controller",
     "Design": "synthesis.design",
-    "H2Design": "synthesis.h2",
+    "Disc": "synthesis.specifications",
     "Estimator": "regulators.sampledlqg",
     "EulerModel": "regulators.sdc",
     "ExportError": "errors",
     "Expression": "systems.parameters",
     "FuelMpc": "predictive.fuel",
     "Gap": "analysis.gap",
+    "GeneralisedH2": "synthesis.specifications",
     "GeneralizedPlant": "systems.generalized",
     "Gramians": "analysis.hankel",
+    "H2": "synthesis.specifications",
+    "H2Design": "synthesis.h2",
+    "Hinf": "synthesis.specifications",
     "InfeasibleError": "errors",
     "Info": "synthesis.design",
     "LinearController": "regulators.controller",
@@ -176,8 +187,10 @@ _HOME = {
     "Shaping": "synthesis.design",
     "SpecificationError": "errors",
     "StateSpace": "systems.statespace",
+    "StrictlyProper": "synthesis.specifications",
     "Study": "command.specification",
     "SynthError": "errors",
+    "Synthesis": "synthesis.synthesize",
     "UncertainSystem": "systems.uncertain",
     "VerificationError": "errors",
     "WorstCase": "proof.worstcase",
@@ -249,6 +262,7 @@ _HOME = {
     "stability_margin": "proof.stability",
     "state_feedback": "regulators.controller",
     "step": "delivery.timeplots",
+    "synthesize": "synthesis.synthesize",
     "system": "systems.statespace",
     "ucover": "analysis.cover",
     "ultidyn": "systems.unmodelled",

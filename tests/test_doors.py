@@ -171,6 +171,9 @@ OF_A_SYSTEM: dict[str, Callable[[Any, float], Any]] = {
     "series": lambda G, dt: response(synth.series(G, G)) + response(synth.series(G, 2.0)),
     "sigma": lambda G, dt: curve(synth.sigma(G, omega=OMEGA)),
     "step": lambda G, dt: curve(synth.step(G, time=5.0)),
+    "synthesize": lambda G, dt: synth.synthesize(
+        synth.augw(G, 1.0, 0.1).system.to_control(), 1, 1, minimize=synth.Hinf()
+    ).gamma,
     "system": lambda G, dt: response(G),
     "ucover": lambda G, dt: np.abs(synth.ucover([2.0], G, 0, "additive").weight.D),
     "verify": lambda G, dt: synth.verify(G).norm,
@@ -321,6 +324,8 @@ RIGHT: dict[str, dict[str, Any]] = {
     "sign": {"path": "file", "key": "pair.key", "passphrase": None, "force": True},
     "verify_signature": {"path": "file", "key": "pair.pub"},
     "state_feedback": {"K": np.ones((1, 2)), "dt": 0.1},
+    "synthesize": {"P": WEIGHTED.system, "nmeas": 1, "ncon": 1, "minimize": synth.Hinf(), "subject_to": (),
+                   "method": "standard"},
     "system": {"dt": 0.0, "u": ("u",), "y": ("y",), "units": None},
     **{
         name: {"loop": UNCERTAIN, "controller": None, "tol": 1e-4, "boxes": 100} | more
@@ -333,17 +338,8 @@ RIGHT: dict[str, dict[str, Any]] = {
     "verify": {"system": CONTINUOUS},
 }  # fmt: skip
 
-STYLED = {
-    "bode",
-    "diskmarginplot",
-    "hsvplot",
-    "impulse",
-    "nichols",
-    "nyquist",
-    "pzmap",
-    "sigma",
-    "step",
-}  # label and style are matplotlib's
+# whose label and style are matplotlib's
+STYLED = {"bode", "diskmarginplot", "hsvplot", "impulse", "nichols", "nyquist", "pzmap", "sigma", "step"}
 POSITIONAL = {"dlqr", "lqr", "lqrd", "system"}  # whose parameters are not in their signature
 
 

@@ -80,6 +80,8 @@ RIGHT: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
         synth.Sdre.create, {"model": synth.QuaternionModel.create(np.eye(3)), "dt": 0.1, "Q": None, "R": None}
     ),
     "Reduction.plot": (synth.reduce(G, 1).plot, {"ax": None}),
+    "Disc": (synth.Disc, {"centre": -1.0, "radius": 0.5}),
+    "H2 <= level": (lambda level: synth.H2() <= level, {"level": 2.0}),
     "Design.save": (shaped().save, {"path": "design.json"}),
     "Design.certify": (shaped().certify, {"lower": None, "upper": None}),
 }  # fmt: skip
