@@ -29,8 +29,12 @@ SURE = 1e-3  # relative: a bound that is farther below the least value alone is 
 MOST = 40  # moves of the scales
 STEPS = (4.0, 2.0, 2**0.5)  # factors by which the scale of a specification is moved
 WORTH = 1e-4  # relative, of the level: a move of the scales that brings less is not made
-START = 3  # powers of the first factor, up and down, at which a point that meets all bounds is looked for
+STARTS = (0, -1, 1, -2, 2, -3, 3)  # powers of the first factor at which a point that meets all bounds is looked for
+FEW = 3  # of them where the LMIs have wider bounds
+RELAXED = (1.0, 1.02, 1.05, 1.1, 1.2, 1.5, 2.0)  # factors by which the LMIs may have wider bounds, tried in turn
+TOLD = 1e-2  # relative distance of the measured norm from the claimed one from which on it is told
 BACKOFF = (1e-3, 1e-2, 1e-1, 1.0)  # relative distances from the least level at which to ask for controllers
+ALONE = "the best controller for the minimised norm meets all"
 FAILS = (SynthError, np.linalg.LinAlgError)
 
 
@@ -40,7 +44,7 @@ class Told:
 
     name: str
     level: float | None  # that was asked for; None for what was minimised
-    claimed: float | None  # by the LMI, which is no proof; None where no LMI was needed
+    claimed: float | None  # by the LMI, whose bound may be wider than `level`; no proof; None where none was needed
     measured: float
     alone: float | None  # the least value of any controller, without the other specifications, where it is known
 
@@ -124,6 +128,7 @@ class Found:
     values: list[float]
     claimed: float | None  # of the minimised norm
     status: str
+    part: float  # factor by which the bounds in its LMIs were wider
 
 
 @dataclass
@@ -137,6 +142,7 @@ class Search:
     failures: dict[str, str] = field(default_factory=dict)
     told: str = ""
     missed: str = ""  # by the last controller that was measured
+    scales: tuple[float, ...] | None = None  # of the bounds, once a point that meets all is known
 
     def run(self) -> Found:
         """The best of all controllers for the minimised norm alone, if it serves; else one by LMIs."""
@@ -151,23 +157,49 @@ class Search:
                     best=alone[0],
                 )
         if self.alone[0] and not (task.proper and self.alone[0][1].D.any()):
-            found = self.judged("alone", self.alone[0][1], None, "the best controller for the minimised norm meets all")
+            found = self.judged("alone", self.alone[0][1], None, ALONE, 1.0)
             if found:
                 return found
-        level, scales, status = self.least()
         best = None
-        for distance in BACKOFF:
-            found = self.centred(level, scales, distance, status)
-            best = found if found and (best is None or found.values[0] < best.values[0]) else best
-            if best and best.values[0] <= level * self.scaled.scale * (1 + distance):
-                return best
+        asked = task.bounds or task.disc
+        for part in RELAXED if asked else RELAXED[:1]:
+            found = self.relaxed(part)
+            if found and (best is None or found.values[0] < best.values[0]):
+                best = found
+            elif best:
+                break
+        if best is None and not asked:
+            raise NumericalError(f"no attempt led to a controller that verifies: {self.missed}", self.failures)
         if best is None:
-            raise NumericalError(f"no controller was found that meets all when measured: {self.missed}", self.failures)
-        self.told = f"the LMIs claim {level * self.scaled.scale:.7g}, which this controller does not reach"
+            raise self.infeasible()
+        if best.claimed and best.values[0] > best.claimed * (1 + TOLD):
+            self.told = f"the LMIs claim {best.claimed:.7g}, which this controller does not reach"
         return best
 
-    def pose(self, level: Any, scales: tuple[float, ...]) -> tuple[Any, list[Any]]:
-        """The unknowns and the LMIs for a level of the minimised norm, a number or an unknown itself."""
+    def relaxed(self, part: float) -> Found | None:
+        """The best controller that meets all when measured, of those whose LMIs have bounds that are wider by a factor.
+
+        LMIs that share G are sufficient only: a loop is better than they say. It is judged by what was asked for.
+        """
+        if (least := self.least(part)) is None:
+            return None
+        level, status = least
+        best = None
+        for distance in BACKOFF:
+            found = self.centred(level, part, distance, status)
+            best = found if found and (best is None or found.values[0] < best.values[0]) else best
+            if best and best.values[0] <= level * self.scaled.scale * (1 + distance):
+                break
+        return best
+
+    def pose(self, level: Any, scales: tuple[float, ...], part: float) -> tuple[Any, list[Any]]:
+        """The unknowns and the LMIs for a level of the minimised norm, a number or an unknown itself.
+
+        Parameters
+        ----------
+        scales : of the bounds, each a against b
+        part : factor by which the bounds and the radius of the disc are wider than was asked for, 1 or more
+        """
         import cvxpy as cp
 
         from synth.lmi.disc import disc
@@ -189,13 +221,13 @@ class Search:
         lmis = task.minimize.lmis(loop.channel(z, w), level, level)
         for bound, scale in zip(task.bounds, scales, strict=True):
             z, w = bound.norm.numbers(task.plant)
-            most = bound.level / self.scaled.scale
+            most = part * bound.level / self.scaled.scale
             lmis += bound.norm.lmis(own().channel(z, w), most * scale, most / scale)
         if self.disc:
-            lmis.append(disc(own(), self.disc.centre, self.disc.radius))
+            lmis.append(disc(own(), self.disc.centre, part * self.disc.radius))
         return unknowns, lmis
 
-    def minimised(self, scales: tuple[float, ...]) -> tuple[float, str]:
+    def minimised(self, scales: tuple[float, ...], part: float) -> tuple[float, str]:
         """The least level at these scales, inf where there is none."""
         import cvxpy as cp
 
@@ -203,34 +235,32 @@ class Search:
 
         g = cp.Variable()
         try:
-            status = solve(g, self.pose(g, scales)[1])
+            status = solve(g, self.pose(g, scales, part)[1])
             return max(float(value(g)), 0.0) or np.inf, status
         except FAILS as error:
-            self.failures[f"scales {', '.join(f'{s:.3g}' for s in scales)}"] = str(error)
+            self.failures[f"bounds times {part:g}, scales {', '.join(f'{s:.3g}' for s in scales)}"] = str(error)
             return np.inf, str(error)
 
-    def least(self) -> tuple[float, tuple[float, ...], str]:
-        """The least level over the scales, by moving one at a time, ever less.
+    def least(self, part: float = 1.0) -> tuple[float, str] | None:
+        """The least level over `scales`, by moving one at a time, ever less; once they are known they stay.
 
-        Raises
-        ------
-        InfeasibleError : no scales were found at which the LMIs have a solution.
+        None where no scales were found at which the LMIs have a solution.
         """
+        if self.scales is not None:
+            level, status = self.minimised(self.scales, part)
+            return (level, status) if np.isfinite(level) else None
         count = len(self.task.bounds)
-        grid = sorted(range(-START, START + 1), key=abs)
         tried: dict[tuple[float, ...], tuple[float, str]] = {}
 
         def at(scales: tuple[float, ...]) -> float:
             if scales not in tried:
-                tried[scales] = self.minimised(scales)
+                tried[scales] = self.minimised(scales, part)
             return tried[scales][0]
 
-        scales = (1.0,) * count
-        if not np.isfinite(at(scales)):
-            starts = [(STEPS[0] ** power,) * count for power in grid if count]
-            scales = next((start for start in starts if np.isfinite(at(start))), None)
-            if scales is None:
-                raise self.infeasible()
+        starts = [(STEPS[0] ** power,) * count for power in (STARTS if part == 1 else STARTS[:FEW])]
+        scales = next((start for start in starts if np.isfinite(at(start))), None)
+        if scales is None:
+            return None
         for step in STEPS if count else ():
             for i in range(count):
                 for factor in (step, 1 / step):
@@ -238,7 +268,8 @@ class Search:
                     while len(tried) < MOST and at(moved) < at(scales) * (1 - WORTH):
                         scales = moved
                         moved = (*scales[:i], scales[i] * factor, *scales[i + 1 :])
-        return (tried[scales][0], scales, tried[scales][1])
+        self.scales = scales
+        return tried[scales]
 
     def infeasible(self) -> InfeasibleError:
         """The error for bounds that were not met together."""
@@ -249,27 +280,26 @@ class Search:
             parts.append(f"{_name(bound.norm, task.plant)} <= {bound.level:.7g}{room}")
         if task.disc:
             parts.append(f"poles within {task.disc.radius:.7g} of {task.disc.centre:.7g}")
-        return InfeasibleError(
-            f"the LMIs have no solution, which proves nothing, as they are sufficient only: {'; '.join(parts)}; allow "
-            "more" + (", or a disc that holds all modes that no control moves or no sensor sees" if task.disc else ""),
-            best=np.inf,
-        )
+        more = ", or a disc that holds all modes that no control moves or no sensor sees" if task.disc else ""
+        missed = f"; the last controller missed: {self.missed}" if self.missed else ""
+        text = f"no controller was found that meets all, which proves nothing: {'; '.join(parts)}{missed}"
+        return InfeasibleError(f"{text}; allow more{more}", best=np.inf)
 
-    def centred(self, level: float, scales: tuple[float, ...], distance: float, status: str) -> Found | None:
+    def centred(self, level: float, part: float, distance: float, status: str) -> Found | None:
         """The controller at the analytic centre of all unknowns that reach a level a little above the least."""
         from synth.lmi.solve import solve
 
-        name = f"level {level * (1 + distance) * self.scaled.scale:.7g}"
+        name = f"level {level * (1 + distance) * self.scaled.scale:.7g}, bounds times {part:g}"
         try:
-            unknowns, lmis = self.pose(level * (1 + distance), scales)
+            unknowns, lmis = self.pose(level * (1 + distance), self.scales or (), part)
             solve(0, lmis)
             K = self.back(self.scaled.restore(unknowns.controller()))
         except FAILS as error:
             self.failures[name] = self.missed = str(error)
             return None
-        return self.judged(name, K, level * self.scaled.scale, status)
+        return self.judged(name, K, level * self.scaled.scale, status, part)
 
-    def judged(self, name: str, K: StateSpace, claimed: float | None, status: str) -> Found | None:
+    def judged(self, name: str, K: StateSpace, claimed: float | None, status: str, part: float) -> Found | None:
         """A controller with its loop and what was measured of it; None where it misses something."""
         task = self.task
         try:
@@ -288,16 +318,16 @@ class Search:
         if missed:
             self.failures[name] = self.missed = "; ".join(missed)
             return None
-        return Found(K, closed_loop, verified, values, claimed, status)
+        return Found(K, closed_loop, verified, values, claimed, status, part)
 
     def tell(self, found: Found) -> Iterator[Told]:
         """Every specification with what became of it."""
         task, alone = self.task, [a[0] if a else None for a in self.alone]
         yield Told(_name(task.minimize, task.plant), None, found.claimed, found.values[0], alone[0])
         for bound, value, least in zip(task.bounds, found.values[1:], alone[1:], strict=True):
-            claimed = None if found.claimed is None else bound.level
+            claimed = None if found.claimed is None else found.part * bound.level
             yield Told(_name(bound.norm, task.plant), bound.level, claimed, value, least)
         if task.disc:
             farthest = task.disc.measured(found.closed_loop)
-            claimed = None if found.claimed is None else task.disc.radius
+            claimed = None if found.claimed is None else found.part * task.disc.radius
             yield Told(f"poles about {task.disc.centre:.7g}", task.disc.radius, claimed, farthest, None)

@@ -90,7 +90,8 @@ def synthesize(
     ------
     ModelError : data that is no model, an unknown channel, a specification that the plant's timebase does not allow.
     AssumptionError : (A, B2) is not stabilisable or (A, C2) not detectable; names the mode.
-    InfeasibleError : the bounds were not met together; says which cannot be met alone.
+    InfeasibleError : the bounds were not met together, though the LMIs were tried with wider ones, which are judged on
+        the loop by what was asked for; says which cannot be met alone, or what the last controller missed.
     NumericalError : every attempt failed; `statuses` says how each of them did.
     """
     started = time.perf_counter()
