@@ -25,7 +25,8 @@ import numpy as np
 
 from synth.equations.are import solve
 from synth.equations.parrott import reach
-from synth.equations.refinement import Equation
+from synth.equations.refinement import Equation, evaluate, size
+from synth.equations.starts import pencil
 from synth.errors import AssumptionError, NumericalError
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.modes import unseen
@@ -33,6 +34,9 @@ from synth.systems.statespace import StateSpace
 
 CANCELLED = 1e-12  # of |D11|: a direct term of the loop that is rounding
 RANK = 1e-12  # relative singular value of [A - s I, B2; C1, D12] at a point s that is no zero
+DOUBTED = (
+    1e-7  # relative residual of a solution of which `solve` is not certain, but that the measured loop may confirm
+)
 POINTS = (0.7390851, 1.6180340, 2.5029079)  # rad a sample on the unit circle; their tangents on the axis
 
 
@@ -138,11 +142,27 @@ def _half(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, dt: float,
             zeros,
         )
     residual, (which, remedy) = found.judge().residual, ("control", "z") if start == "u" else ("filter", "w")
+    if residual <= DOUBTED and np.isfinite(found.K).all():  # rounding may have moved its poles: the loop is judged
+        return _Half(found.X, -found.K, float(residual))
+    if half := _plain(e):
+        return half
     raise NumericalError(
         f"the Riccati equation of the {which} was not solved: "
         + (f"its relative residual is {residual:.1e}" if np.isfinite(residual) else "no start led to a stable loop")
         + f"; a zero from {start} to {end} may be near the stability boundary, weigh more of {remedy}"
     )
+
+
+def _plain(e: Equation) -> _Half | None:
+    """A solution in the states given, whose scaling for `solve` a tiny D'D upsets."""
+    if (X := pencil(e)) is None or not np.isfinite(X).all():
+        return None
+    try:
+        v = evaluate(e, X, None)
+    except np.linalg.LinAlgError:
+        return None
+    residual = float(size(v.off) / (size(X) + size(e.Q)))
+    return _Half(v.X, -v.K, residual) if residual <= DOUBTED and np.isfinite(v.K).all() else None
 
 
 def _check_rank(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, dt: float, start: str, end: str) -> None:

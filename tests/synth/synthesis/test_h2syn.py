@@ -207,6 +207,34 @@ def test_cheap_control_and_perfect_measurement_in_discrete_time():
     assert design.controller.D == pytest.approx(-1.0)
 
 
+@pytest.mark.parametrize("weight", [1e-5, 1e-6, 1e-8])
+def test_nearly_free_controls_in_discrete_time(weight):
+    """The least norm comes down to that without weight and noise."""
+    rng = np.random.default_rng(16)
+    N = rng.standard_normal
+    for _ in range(5):
+        A, B1, b2, C1, c2 = (N(shape) for shape in ((4, 4), (4, 3), (4, 1), (3, 4), (1, 4)))
+        D11, d12, d21 = N((3, 3)), N((3, 1)), N((1, 3))
+        cheap, free = (
+            h2syn(GeneralizedPlant(A, B1, b2, C1, D11, k * d12, c2, k * d21, 0, dt=1.0)) for k in (weight, 0.0)
+        )
+        assert cheap.gamma == pytest.approx(cheap.optimum, rel=1e-6)
+        assert cheap.gamma == pytest.approx(free.optimum, rel=1e3 * weight)
+
+
+@TIMES
+def test_twenty_states_most_of_them_unstable(dt):
+    rng = np.random.default_rng(17)
+    N, n = rng.standard_normal, 20
+    O = np.zeros((4, 4))
+    P = GeneralizedPlant(
+        N((n, n)), N((n, 4)), N((n, 2)), N((4, n)), O, N((4, 2)), N((2, n)), N((2, 4)), O[:2, :2], dt=dt
+    )
+    design = h2syn(P)
+    assert np.abs(design.closed_loop.poles()).max() < 1 if dt else design.closed_loop.poles().real.max() < 0
+    assert design.gamma == pytest.approx(design.optimum, rel=1e-5)
+
+
 def test_wrong_arguments():
     with pytest.raises(ModelError, match="strictly_proper"):
         h2syn(GeneralizedPlant(**ONE), strictly_proper=1)
