@@ -151,9 +151,10 @@ class Search:
         self.alone = [norm.alone(task.plant, proper=task.proper) for norm in norms]
         for bound, alone in zip(task.bounds, self.alone[1:], strict=True):
             if alone and alone[0] > bound.level * (1 + SURE):
+                without = "with StrictlyProper() only" if task.proper else "alone"
                 raise InfeasibleError(
                     f"{_name(bound.norm, task.plant)} <= {bound.level:.7g} was not met: {alone[0]:.7g} is the least "
-                    "that the solver claims possible when nothing else is asked for, which is no proof",
+                    f"that the solver claims possible {without}, which is no proof",
                     best=alone[0],
                 )
         if self.alone[0] and not (task.proper and self.alone[0][1].D.any()):

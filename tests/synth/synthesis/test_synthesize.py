@@ -170,7 +170,7 @@ def test_units_change_nothing():
 
 def test_what_cannot_be_met_is_refused_with_a_reason():
     P = random_plant(np.random.default_rng(13))
-    with pytest.raises(InfeasibleError, match=r"H2\(\) <= .* is the least"):
+    with pytest.raises(InfeasibleError, match=r"H2\(\) <= .* is the least .* alone"):
         synthesize(P, minimize=Hinf(), subject_to=[H2() <= 0.9 * h2syn(P).gamma])
     with pytest.raises(InfeasibleError, match=r"poles within 1e-09 of 0\.5"):
         synthesize(P, minimize=Hinf(), subject_to=[Disc(0.5, 1e-9)])
