@@ -59,9 +59,9 @@ class Conditioned:
         NumericalError : the loop through D22 is not well posed (I + Dk D22 is singular).
         """
         B, C, D = K.B @ self.Sy, self.Su @ K.C, self.Su @ K.D @ self.Sy
-        loop = D @ self.D22
-        E = np.eye(len(D)) + loop
-        distance = np.linalg.norm(E, -2) / (1 + np.linalg.norm(loop, 2))
+        E = np.eye(len(D)) + D @ self.D22
+        loop = K.D @ self.Sy @ self.D22 @ self.Su  # in the scaled units: those given may make any loop look singular
+        distance = np.linalg.norm(np.eye(len(D)) + loop, -2) / (1 + np.linalg.norm(loop, 2))
         if distance < ILL_POSED:
             raise NumericalError(
                 "the controller's direct term and D22 form an algebraic loop without a solution (I + Dk D22 is within "

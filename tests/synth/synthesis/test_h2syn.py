@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from synth import AssumptionError, Design, GeneralizedPlant, ModelError, StateSpace, h2norm, h2syn, lqg, system
@@ -106,6 +106,7 @@ def test_measured_is_claimed_and_no_controller_near_is_better(dt, seed):
 
 @TIMES
 @given(seed=seeds)
+@example(seed=89)  # where the loop of Dk and D22 is singular in the units given only
 @settings(max_examples=10, deadline=None)
 def test_units_and_coordinates_change_nothing(dt, seed):
     rng = np.random.default_rng(seed)
