@@ -2,10 +2,23 @@
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from synth import AssumptionError, Design, GeneralizedPlant, ModelError, StateSpace, h2norm, h2syn, lqg, system
+from synth import (
+    AssumptionError,
+    Design,
+    GeneralizedPlant,
+    ModelError,
+    NumericalError,
+    StateSpace,
+    dlqr,
+    h2norm,
+    h2syn,
+    lqg,
+    lqr,
+    system,
+)
 
 # SLICOT, documentation of SB10HD and SB10ED (SLICOT-Reference, BSD): data and results of the example programs
 SB10HD = {
@@ -50,6 +63,16 @@ def random_plant(rng, dt: float) -> GeneralizedPlant:
     )
 
 
+def has_digits(P: GeneralizedPlant) -> bool:
+    """Whether both Riccati equations have a condition that leaves the tests below their digits."""
+    regulator = dlqr if P.dt else lqr
+    sides = ((P.A, P.B2, P.C1, P.D12), (P.A.T, P.C2.T, P.B1.T, P.D21.T))
+    try:
+        return all(regulator(A, B, C.T @ C, D.T @ D, C.T @ D).condition < 1e8 for A, B, C, D in sides)
+    except NumericalError:
+        return False
+
+
 TIMES = pytest.mark.parametrize("dt", [0.0, 0.5])
 seeds = st.integers(0, 2**32 - 1)
 
@@ -91,6 +114,7 @@ def test_scalar_closed_forms(dt):
 def test_measured_is_claimed_and_no_controller_near_is_better(dt, seed):
     rng = np.random.default_rng(seed)
     P = random_plant(rng, dt)
+    assume(has_digits(P))
     for proper in (False, True):
         design = h2syn(P, strictly_proper=proper)
         K, best = design.controller, design.gamma
@@ -111,6 +135,7 @@ def test_measured_is_claimed_and_no_controller_near_is_better(dt, seed):
 def test_units_and_coordinates_change_nothing(dt, seed):
     rng = np.random.default_rng(seed)
     P = random_plant(rng, dt)
+    assume(has_digits(P))
     n, _, nu, _, ny = P.sizes
     x, u, y = (10.0 ** rng.uniform(-4, 4, k) for k in (n, nu, ny))
     w, z = 10.0 ** rng.uniform(-6, 6, 2)
@@ -130,6 +155,7 @@ def test_units_and_coordinates_change_nothing(dt, seed):
 def test_strictly_proper_is_lqg(dt, seed):
     """The controller of `lqg`, whose weights are the products of those here."""
     P = random_plant(np.random.default_rng(seed), dt)
+    assume(has_digits(P))
     G = StateSpace(P.A, P.B2, P.C2, P.D22, dt)
     W, V = np.hstack([P.C1, P.D12]), np.vstack([P.B1, P.D21])
     K, L = h2syn(P, strictly_proper=True), lqg(G, W.T @ W, V @ V.T)
