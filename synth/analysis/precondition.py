@@ -70,6 +70,26 @@ class Conditioned:
         CE, DE = np.linalg.solve(E, C), np.linalg.solve(E, D)
         return StateSpace(K.A - B @ self.D22 @ CE, B - B @ self.D22 @ DE, CE, DE, K.dt)
 
+    def entered(self, K: StateSpace) -> StateSpace:
+        """The controller for the scaled plant, from one for the original u and y: the inverse of `restore`.
+
+        Raises
+        ------
+        NumericalError : the loop through D22 is not well posed.
+        """
+        E = np.eye(len(K.D)) - K.D @ self.D22
+        if not np.linalg.cond(E) < 1 / ILL_POSED:
+            raise NumericalError("the controller's direct term and D22 form an algebraic loop without a solution")
+        C, D = np.linalg.solve(E, K.C), np.linalg.solve(E, K.D)
+        A, B = K.A + K.B @ self.D22 @ C, K.B + K.B @ self.D22 @ D
+        Su, Sy = np.linalg.inv(self.Su), np.linalg.inv(self.Sy)
+        return StateSpace(A, B @ Sy, Su @ C, Su @ D @ Sy, K.dt)
+
+    def of(self, P: GeneralizedPlant) -> Conditioned:
+        """Another plant with the same states and signals in these coordinates, such as the one that was mapped."""
+        coordinates = _Coordinates(self.T, np.linalg.inv(self.T), self.Su, self.Sy, self.w, 1 / (self.scale * self.w))
+        return replace(self, plant=_transformed(P, coordinates), D22=P.D22)
+
 
 def check_assumptions(P: GeneralizedPlant) -> None:
     """Raise unless some controller stabilises the plant; continuous and discrete plants alike.

@@ -1,4 +1,7 @@
-"""The search behind `synthesize`: LMIs that share the multiplier G, scales between them, controllers measured.
+"""The search behind `synthesize`: controllers by descent or by LMIs that share the multiplier G, all measured.
+
+Descents start at the controllers that are best for one of the norms alone; `direct.py` has them. Where none of them
+meets all bounds, the LMIs are asked, and the descent goes on from their controller.
 
 Sharing G costs: the bounds are met, but the level that is minimised is above the least one. How far depends on how the
 Lyapunov matrices P of the specifications are scaled to each other, which is searched for. A controller that is best
@@ -10,17 +13,22 @@ and Bernussou (2002), Int. J. Control 75, 666 (one for each, one multiplier).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from synth.analysis.norms import Verification, judge
+from synth.analysis.norms import judge
 from synth.analysis.precondition import Conditioned, conditioned
-from synth.checks import shown
-from synth.errors import InfeasibleError, ModelError, NumericalError, SynthError
-from synth.synthesis.specifications import MET, Bound, Disc, Norm, StrictlyProper
+from synth.errors import InfeasibleError, NumericalError, SynthError
+from synth.synthesis.affineloop import AffineLoop
+from synth.synthesis.direct import Goal, descents
+from synth.synthesis.h2 import h2syn
+from synth.synthesis.hinfinity import hinfsyn
+from synth.synthesis.specifications import MET, Disc, Hinf
+from synth.synthesis.tasks import DIRECT, Found, Task, Told, name_of
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.sampled import design_rate, discretised
 from synth.systems.statespace import StateSpace
@@ -34,78 +42,10 @@ FEW = 3  # of them where the LMIs have wider bounds
 RELAXED = (1.0, 1.02, 1.05, 1.1, 1.2, 1.5, 2.0)  # factors by which the LMIs may have wider bounds, tried in turn
 TOLD = 1e-2  # relative distance of the measured norm from the claimed one from which on it is told
 BACKOFF = (1e-3, 1e-2, 1e-1, 1.0)  # relative distances from the least level at which to ask for controllers
+REGULAR = 1e-2  # part of its size that u costs and y is noisy, in the design that stabilises
+LOCAL = "a local minimum, found by descent"
 ALONE = "the best controller for the minimised norm meets all"
 FAILS = (SynthError, np.linalg.LinAlgError)
-
-
-@dataclass(frozen=True)
-class Told:
-    """One specification of a result."""
-
-    name: str
-    level: float | None  # that was asked for; None for what was minimised
-    claimed: float | None  # by the LMI, whose bound may be wider than `level`; no proof; None where none was needed
-    measured: float
-    alone: float | None  # the least value of any controller, without the other specifications, where it is known
-
-
-@dataclass(frozen=True)
-class Task:
-    """What was asked for, checked."""
-
-    plant: GeneralizedPlant
-    minimize: Norm
-    bounds: tuple[Bound, ...]
-    disc: Disc | None
-    proper: bool
-    method: str
-
-    @classmethod
-    def of(cls, plant: GeneralizedPlant, minimize: Any, subject_to: Any, method: str) -> Task:
-        """What `synthesize` was called with.
-
-        Raises
-        ------
-        ModelError : it is no specification, or none for this plant.
-        """
-        if not isinstance(minimize, Norm) or type(minimize) is Norm:
-            raise ModelError(f"minimize is {shown(minimize)}; pass Hinf(...), H2(...) or GeneralisedH2(...)")
-        if not isinstance(subject_to, list | tuple) or not all(
-            isinstance(item, Bound | Disc | StrictlyProper) for item in subject_to
-        ):
-            raise ModelError(
-                f"subject_to is {shown(subject_to)}; pass a list of bounds such as H2(...) <= 2, Disc(centre, radius), "
-                "StrictlyProper()"
-            )
-        bounds = tuple(item for item in subject_to if isinstance(item, Bound))
-        discs = [item for item in subject_to if isinstance(item, Disc)]
-        if len(discs) > 1:
-            raise ModelError(f"subject_to has {len(discs)} discs; pass one that lies in all of them")
-        proper = any(isinstance(item, StrictlyProper) for item in subject_to)
-        if not len(plant.A):
-            raise ModelError("P has no states; hinfsyn and h2syn know the best gain")
-        for norm in (minimize, *(bound.norm for bound in bounds)):
-            norm.numbers(plant)
-            if not plant.dt and not norm.anytime:
-                raise ModelError(
-                    f"{_name(norm, plant)} is a specification of discrete time, and P is continuous: sample P by c2d, "
-                    "or design with h2syn"
-                )
-        if proper and not plant.dt:
-            raise ModelError("StrictlyProper() is a specification of discrete time, and P is continuous: leave it away")
-        return cls(plant, minimize, bounds, discs[0] if discs else None, proper, method)
-
-    def values(self, closed_loop: StateSpace) -> list[float]:
-        """The measured value of every norm, the minimised one first."""
-        return [norm.measured(self.plant, closed_loop) for norm in (self.minimize, *(b.norm for b in self.bounds))]
-
-
-def _name(norm: Norm, plant: GeneralizedPlant) -> str:
-    """A norm as it was asked for."""
-    z, w = norm.numbers(plant)
-    parts = [("w", w, plant.w), ("z", z, plant.z)]
-    listed = ", ".join(f"{key}={[names[i] for i in k]}" for key, k, names in parts if len(k) < len(names))
-    return f"{type(norm).__name__}({listed})"
 
 
 def mapped(task: Task) -> tuple[Conditioned, Any, Disc | None]:
@@ -118,17 +58,15 @@ def mapped(task: Task) -> tuple[Conditioned, Any, Disc | None]:
     return conditioned(discrete), back, disc
 
 
-@dataclass(frozen=True)
-class Found:
-    """A controller that meets all specifications, measured."""
-
-    controller: StateSpace
-    closed_loop: StateSpace
-    verified: Verification
-    values: list[float]
-    claimed: float | None  # of the minimised norm
-    status: str
-    part: float  # factor by which the bounds in its LMIs were wider
+def regular(P: GeneralizedPlant) -> GeneralizedPlant:
+    """The plant with every u in z and a noise on every y besides."""
+    _, nw, nu, nz, ny = P.sizes
+    u, y = (REGULAR * max(float(np.linalg.norm(M, 2)), 1.0) for M in (P.D12, P.D21))
+    return GeneralizedPlant(
+        P.A, np.hstack([P.B1, np.zeros((len(P.A), ny))]), P.B2, np.vstack([P.C1, np.zeros((nu, len(P.A)))]),
+        np.zeros((nz + nu, nw + ny)), np.vstack([P.D12, u * np.eye(nu)]), P.C2, np.hstack([P.D21, y * np.eye(ny)]),
+        P.D22, dt=P.dt,
+    )  # fmt: skip
 
 
 @dataclass
@@ -153,7 +91,7 @@ class Search:
             if alone and alone[0] > bound.level * (1 + SURE):
                 without = "with StrictlyProper() only" if task.proper else "alone"
                 raise InfeasibleError(
-                    f"{_name(bound.norm, task.plant)} <= {bound.level:.7g} was not met: {alone[0]:.7g} is the least "
+                    f"{name_of(bound.norm, task.plant)} <= {bound.level:.7g} was not met: {alone[0]:.7g} is the least "
                     f"that the solver claims possible {without}, which is no proof",
                     best=alone[0],
                 )
@@ -161,20 +99,71 @@ class Search:
             found = self.judged("alone", self.alone[0][1], None, ALONE, 1.0)
             if found:
                 return found
+        if task.method == DIRECT and (found := self.descended(self.starts(), None)):
+            return found
         best = None
         asked = task.bounds or task.disc
-        for part in RELAXED if asked else RELAXED[:1]:
+        for part in (RELAXED if asked else RELAXED[:1]) if task.by_lmis else ():
             found = self.relaxed(part)
             if found and (best is None or found.values[0] < best.values[0]):
                 best = found
             elif best:
                 break
+        if best and task.method == DIRECT:
+            further = self.descended([self.entered(best.controller)], best.claimed)
+            best = further if further and further.values[0] < best.values[0] else best
         if best is None and not asked:
             raise NumericalError(f"no attempt led to a controller that verifies: {self.missed}", self.failures)
         if best is None:
             raise self.infeasible()
         if best.claimed and best.values[0] > best.claimed * (1 + TOLD):
             self.told = f"the LMIs claim {best.claimed:.7g}, which this controller does not reach"
+        return best
+
+    def starts(self) -> Iterator[StateSpace]:
+        """Controllers for `scaled.plant` to descend from: the best alone, central ones, one that merely stabilises."""
+        task = self.task
+        known = [alone[1] for alone in self.alone if alone]
+        for bound in task.bounds:
+            if isinstance(bound.norm, Hinf):
+                try:
+                    known.append(hinfsyn(bound.norm.channel(task.plant), gamma=bound.level).controller)
+                except FAILS as error:
+                    self.failures[f"{name_of(bound.norm, task.plant)} <= {bound.level:.7g} alone"] = str(error)
+        yield from (self.entered(K) for K in known)
+        if not task.plant.dt or not known or task.proper:
+            try:
+                yield h2syn(regular(self.straight.plant), strictly_proper=True).controller
+            except FAILS as error:
+                self.failures["a strictly proper controller that stabilises"] = str(error)
+
+    def entered(self, K: StateSpace) -> StateSpace:
+        """A controller for the plant as one for `straight`."""
+        return self.straight.entered(K)
+
+    @cached_property
+    def straight(self) -> Conditioned:
+        """The plant in good coordinates and its own time."""
+        return self.scaled if self.task.plant.dt else self.scaled.of(self.task.plant)
+
+    def descended(self, starts: Iterable[StateSpace], claimed: float | None) -> Found | None:
+        """The best controller that descents lead to, of those that meet all."""
+        task, plant, scale = self.task, self.straight.plant, self.straight.scale
+        rate = 1.0 if task.plant.dt else design_rate(task.plant)
+        free = task.free(plant)
+        bounds = [Goal(bound.norm.barrier(plant, rate), bound.level / scale) for bound in task.bounds]
+        if task.disc:
+            bounds.append(Goal(task.disc.barrier, task.disc.radius))
+        lowered = Goal(task.minimize.barrier(plant, rate))
+        best = None
+        for K in descents(lambda order: AffineLoop.of(plant, order, rate, free), starts, lowered, bounds):
+            try:
+                K = self.straight.restore(K)
+            except FAILS as error:
+                self.failures["descent"] = self.missed = str(error)
+                continue
+            found = self.judged("descent", K, claimed, LOCAL, 1.0)
+            best = found if found and (best is None or found.values[0] < best.values[0]) else best
         return best
 
     def relaxed(self, part: float) -> Found | None:
@@ -208,7 +197,7 @@ class Search:
 
         task, plant = self.task, self.scaled.plant
         n, _, nu, _, ny = plant.sizes
-        unknowns = extended(plant) if task.method == "extended" else standard(plant)
+        unknowns = standard(plant) if task.method == "standard" else extended(plant)
         if task.proper:
             unknowns = replace(unknowns, Dn=np.zeros((nu, ny)))
         loop = unknowns.loop
@@ -278,7 +267,7 @@ class Search:
         parts = []
         for bound, alone in zip(task.bounds, self.alone[1:], strict=True):
             room = f", alone {alone[0]:.4g} is possible" if alone else ""
-            parts.append(f"{_name(bound.norm, task.plant)} <= {bound.level:.7g}{room}")
+            parts.append(f"{name_of(bound.norm, task.plant)} <= {bound.level:.7g}{room}")
         if task.disc:
             parts.append(f"poles within {task.disc.radius:.7g} of {task.disc.centre:.7g}")
         more = ", or a disc that holds all modes that no control moves or no sensor sees" if task.disc else ""
@@ -310,7 +299,7 @@ class Search:
             self.failures[name] = self.missed = str(error)
             return None
         missed = [
-            f"{_name(bound.norm, task.plant)} is {value:.7g} for {bound.level:.7g}"
+            f"{name_of(bound.norm, task.plant)} is {value:.7g} for {bound.level:.7g}"
             for bound, value in zip(task.bounds, values[1:], strict=True)
             if not value <= bound.level * (1 + MET)
         ]
@@ -324,10 +313,10 @@ class Search:
     def tell(self, found: Found) -> Iterator[Told]:
         """Every specification with what became of it."""
         task, alone = self.task, [a[0] if a else None for a in self.alone]
-        yield Told(_name(task.minimize, task.plant), None, found.claimed, found.values[0], alone[0])
+        yield Told(name_of(task.minimize, task.plant), None, found.claimed, found.values[0], alone[0])
         for bound, value, least in zip(task.bounds, found.values[1:], alone[1:], strict=True):
             claimed = None if found.claimed is None else found.part * bound.level
-            yield Told(_name(bound.norm, task.plant), bound.level, claimed, value, least)
+            yield Told(name_of(bound.norm, task.plant), bound.level, claimed, value, least)
         if task.disc:
             farthest = task.disc.measured(found.closed_loop)
             claimed = None if found.claimed is None else found.part * task.disc.radius

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 ARMIJO, WOLFE = 1e-4, 0.5  # parts of the slope
-TRIALS = 12  # of a line search
+TRIALS = 12  # of a line search, where a look at the function is dear
 PATIENCE = 8  # steps that must gain something together: at a kink some gain little
 FIRST = 0.1  # length of the first step
 
@@ -21,10 +21,17 @@ FIRST = 0.1  # length of the first step
 class Descent:
     """Where the descent has come to."""
 
-    def __init__(self, function: Callable[[np.ndarray], tuple[float, np.ndarray]], x: np.ndarray):
-        self.function, self.x = function, x
+    def __init__(
+        self,
+        function: Callable[[np.ndarray], tuple[float, np.ndarray]],
+        x: np.ndarray,
+        *,
+        H: np.ndarray | None = None,
+        trials: int = TRIALS,
+    ):
+        self.function, self.x, self.trials = function, x, trials
         self.value, self.slope = function(x)
-        self.H: np.ndarray | None = None  # inverse Hessian
+        self.H = H  # inverse Hessian, of a function much like this one where it is given
         self.calls = 0  # of the function
 
     def run(self, calls: int, gain: float) -> bool:
@@ -57,7 +64,7 @@ class Descent:
     def _searched(self, p: np.ndarray, downhill: float) -> tuple[np.ndarray, float, np.ndarray] | None:
         """A step along p, with value and slope there; the best found where no step has all that is asked."""
         low, high, t, found = 0.0, np.inf, 1.0, None
-        for _ in range(TRIALS if downhill < 0 else 0):
+        for _ in range(self.trials if downhill < 0 else 0):
             value, slope = self.function(self.x + t * p)
             self.calls += 1
             if not value <= self.value + ARMIJO * t * downhill:

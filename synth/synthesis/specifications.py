@@ -5,12 +5,14 @@ What is measured shares nothing with the LMI: norms come from Gramians and from 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
+from synth.analysis import barriers
+from synth.analysis.barriers import Sloped
 from synth.analysis.norms import balance, h2norm, verify
 from synth.analysis.truncation import gramian_factor
 from synth.checks import as_number, shown
@@ -22,6 +24,8 @@ from synth.systems.statespace import StateSpace
 
 MET = 1e-6  # relative: a bound that is missed by less is met
 
+# loop and level -> value, derivative by [A B; C D], and by the logarithm of the level
+Barrier = Callable[[StateSpace, float], tuple[float, np.ndarray, float]]
 Channel = str | int | Sequence[str | int] | None  # names or numbers of signals; None for all
 
 
@@ -31,7 +35,9 @@ class Norm:
 
     w: Channel = None
     z: Channel = None
-    anytime: ClassVar[bool] = False  # whether the Cayley map keeps it, so that it serves in continuous time too
+    anytime: ClassVar[bool] = False  # whether the Cayley map keeps it, so that its LMI serves in continuous time too
+    continuous: ClassVar[bool] = True  # whether it can be measured in continuous time
+    by_lmi: ClassVar[bool] = True  # whether it has one
 
     def __le__(self, level: float) -> Bound:
         return Bound(self, as_number("level", level, f"the level of {type(self).__name__}, a positive number", above=0))
@@ -56,10 +62,22 @@ class Norm:
     def measured(self, P: GeneralizedPlant, closed_loop: StateSpace) -> float:
         """Its value on a closed loop of the plant."""
         z, w = self.numbers(P)
-        G = StateSpace(
-            closed_loop.A, closed_loop.B[:, w], closed_loop.C[z], closed_loop.D[np.ix_(z, w)], closed_loop.dt
-        )
-        return self.of(G)
+        return self.of(_between(closed_loop, z, w))
+
+    def barrier(self, P: GeneralizedPlant, rate: float) -> Barrier:
+        """Its barrier as a function of a closed loop and a level, see `barriers.py`; `rate` in rad/s."""
+        z, w = self.numbers(P)
+
+        def found(G: StateSpace, level: float) -> tuple[float, np.ndarray, float]:
+            scaled = _between(StateSpace(G.A, G.B, G.C / level, G.D / level, G.dt), z, w)
+            value, part = self.inside(scaled, rate)
+            by_level = -float(np.sum(part[G.n :] * np.hstack([scaled.C, scaled.D])))
+            part[G.n :] /= level
+            slope = np.zeros((G.n + G.ny, G.n + G.nu))
+            slope[np.ix_([*range(G.n), *(G.n + i for i in z)], [*range(G.n), *(G.n + j for j in w)])] = part
+            return value, slope, by_level
+
+        return found
 
     def alone(self, P: GeneralizedPlant, *, proper: bool = False) -> tuple[float, StateSpace] | None:
         """The least value that a controller reaches when nothing else is asked for, and that controller, if known.
@@ -77,6 +95,10 @@ class Norm:
 
     def of(self, G: StateSpace) -> float:
         """Its value on a stable system."""
+        raise NotImplementedError
+
+    def inside(self, G: StateSpace, rate: float) -> Sloped:
+        """Its barrier at the level one, and the derivative by [A B; C D]; `rate` in rad/s."""
         raise NotImplementedError
 
     def least(self, P: GeneralizedPlant, proper: bool) -> tuple[float, StateSpace] | None:
@@ -97,6 +119,9 @@ class Hinf(Norm):
     def of(self, G: StateSpace) -> float:  # noqa: D102
         return verify(G).norm
 
+    def inside(self, G: StateSpace, rate: float) -> Sloped:  # noqa: D102
+        return barriers.entropy(G, rate)
+
     def least(self, P: GeneralizedPlant, proper: bool) -> tuple[float, StateSpace]:  # noqa: D102
         design = hinfsyn(P)
         return design.gamma if design.info.optimum is None else design.info.optimum, design.controller
@@ -112,6 +137,9 @@ class H2(Norm):
 
     def of(self, G: StateSpace) -> float:  # noqa: D102
         return h2norm(G)
+
+    def inside(self, G: StateSpace, rate: float) -> Sloped:  # noqa: D102
+        return barriers.covariance(G, trace=True)
 
     def least(self, P: GeneralizedPlant, proper: bool) -> tuple[float, StateSpace]:  # noqa: D102
         design = h2syn(P, strictly_proper=proper)
@@ -129,6 +157,9 @@ class GeneralisedH2(Norm):
     def of(self, G: StateSpace) -> float:  # noqa: D102
         G = balance(G)
         return float(np.linalg.norm(np.hstack([G.C @ gramian_factor(G.A, G.B), G.D]), 2))
+
+    def inside(self, G: StateSpace, rate: float) -> Sloped:  # noqa: D102
+        return barriers.covariance(G, trace=False)
 
     def least(self, P: GeneralizedPlant, proper: bool) -> None:  # noqa: D102
         return None
@@ -165,6 +196,10 @@ class Disc:
         """Distance of the farthest pole from the centre."""
         return float(np.abs(closed_loop.poles() - self.centre).max(initial=0.0))
 
+    def barrier(self, closed_loop: StateSpace, level: float) -> tuple[float, np.ndarray, float]:
+        """The barrier of a disc with the radius `level`."""
+        return barriers.within(closed_loop, self.centre, level)
+
     def moved(self, rate: float) -> Disc:
         """Where the Cayley map z = (rate + s) / (rate - s) takes it.
 
@@ -182,6 +217,10 @@ class Disc:
 @dataclass(frozen=True)
 class StrictlyProper:
     """The controller has no direct term: the processor has a period to compute."""
+
+
+def _between(G: StateSpace, z: list[int], w: list[int]) -> StateSpace:
+    return StateSpace(G.A, G.B[:, w], G.C[z], G.D[np.ix_(z, w)], G.dt)
 
 
 def _numbers(key: str, wanted: Channel, names: tuple[str, ...]) -> list[int]:

@@ -10,14 +10,13 @@ from typing import Any
 from synth.analysis.precondition import check_assumptions
 from synth.checks import as_choice, numerical, printable, timebase_told
 from synth.files import provenance
-from synth.synthesis.combined import Search, Task, Told, mapped
+from synth.synthesis.combined import ALONE, Search, mapped
 from synth.synthesis.design import Design, Info
 from synth.synthesis.hinfinity import as_plant, slowest_pole
 from synth.synthesis.remarks import words
 from synth.synthesis.specifications import MET, Bound, Disc, Norm, StrictlyProper
+from synth.synthesis.tasks import DIRECT, FORMS, Task, Told
 from synth.threads import one_thread
-
-FORMS = ("extended", "standard")
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,18 +67,20 @@ def synthesize(
     *,
     minimize: Norm,
     subject_to: Sequence[Bound | Disc | StrictlyProper] = (),
-    method: str = "extended",
+    method: str = DIRECT,
 ) -> Synthesis:
     """Controller K that minimises one norm of P closed by u = K y (positive feedback) while others stay below levels.
 
     Parameters
     ----------
     P : GeneralizedPlant, or a system in any form that `system` takes, whose last inputs are u and last outputs y;
-        discrete with any specification, continuous with `Hinf` and `Disc`, which the Cayley map keeps
+        discrete or continuous
     nmeas, ncon : number of outputs y and inputs u; needed unless P is a GeneralizedPlant
     minimize : `Hinf`, `H2` or `GeneralisedH2` of a channel, `H2(w="noise", z=["error", 2])`; all signals when left out
     subject_to : bounds `H2(...) <= level`, at most one `Disc(centre, radius)` for the poles, `StrictlyProper()`
-    method : "extended", a Lyapunov matrix for every specification, or "standard", one for all
+    method : "direct", descents from the controllers that are best for one norm alone; or LMIs that share a
+        multiplier, "extended" with a Lyapunov matrix for every specification, "standard" with one for all, in
+        continuous time for `Hinf` and `Disc`, which the Cayley map keeps
 
     Returns
     -------
@@ -105,7 +106,7 @@ def synthesize(
     slowest, why = slowest_pole(plant, found.verified.poles)
     told = (search.told,) if search.told else ()
     info = Info(
-        method="alone" if found.claimed is None else method,
+        method="alone" if found.status == ALONE else method,
         status=found.status,
         level=found.verified.norm,
         optimum=None,

@@ -20,7 +20,8 @@ from synth import (
     hinfsyn,
     synthesize,
 )
-from synth.synthesis.combined import Search, Task, mapped
+from synth.synthesis.combined import Search, mapped
+from synth.synthesis.tasks import Task
 
 
 def random_plant(rng, dt: float = 0.5, n: int = 2) -> GeneralizedPlant:
@@ -193,8 +194,9 @@ def test_wrong_arguments():
         (lambda: synthesize(P, minimize=H2(), subject_to=[Hinf()]), "subject_to"),
         (lambda: synthesize(P, minimize=H2(), subject_to=[Disc(0, 1), Disc(0, 2)]), "2 discs"),
         (lambda: synthesize(P, minimize=H2(), method="lmi"), "method"),
-        (lambda: synthesize(C, minimize=H2()), "discrete time"),
-        (lambda: synthesize(C, minimize=Hinf(), subject_to=[StrictlyProper()]), "discrete time"),
+        (lambda: synthesize(C, minimize=H2(), method="extended"), "discrete time"),
+        (lambda: synthesize(C, minimize=H2()), "direct term D11"),
+        (lambda: synthesize(C, minimize=Hinf(), subject_to=[StrictlyProper()], method="standard"), "discrete time"),
         (lambda: Hinf() <= -1, "level"),
         (lambda: Disc(0, 0), "radius"),
         (lambda: Disc("0", 1), "centre"),
