@@ -122,6 +122,7 @@ if TYPE_CHECKING:
     from synth.synthesis.specifications import Disc as Disc
     from synth.synthesis.specifications import GeneralisedH2 as GeneralisedH2
     from synth.synthesis.specifications import Hinf as Hinf
+    from synth.synthesis.specifications import Peak as Peak
     from synth.synthesis.specifications import StrictlyProper as StrictlyProper
     from synth.synthesis.synthesize import Synthesis as Synthesis
     from synth.synthesis.synthesize import synthesize as synthesize
@@ -173,6 +174,7 @@ _HOME = {
     "Mu": "analysis.mu",
     "MuDesign": "synthesis.dkiteration",
     "NumericalError": "errors",
+    "Peak": "synthesis.specifications",
     "QuaternionModel": "regulators.sdc",
     "Reduction": "analysis.reduce",
     "Requirements": "delivery.acceptance",

@@ -18,6 +18,8 @@ from synth.equations.doubling import CONVERGED, MAX_STEPS, bounded_real
 from synth.systems.sampled import cayley
 from synth.systems.statespace import StateSpace
 
+TAIL = 1e-10  # of a response: what is less is left away
+SAMPLES = 5000  # of a response at most
 Sloped = tuple[float, np.ndarray]
 
 
@@ -54,7 +56,7 @@ def entropy(G: StateSpace, rate: float = 1.0) -> Sloped:
 
 
 def covariance(G: StateSpace, *, trace: bool) -> Sloped:
-    """Of the H2 norm, -log(1 - trace V) of the covariance V = C W C' + D D' of z; -log det(I - V) of the generalised."""
+    """Of the H2 norm -log(1 - trace V), V = C W C' + D D' the covariance of z; -log det(I - V) of the generalised."""
     if not is_stable(G):
         return _outside(G)
     W = gramian(G.A, G.B @ G.B.T, G.dt)
@@ -73,6 +75,33 @@ def covariance(G: StateSpace, *, trace: bool) -> Sloped:
     Z = gramian(G.A.T, G.C.T @ weight @ G.C, G.dt)
     by_states = Z @ np.hstack([G.A @ W if G.dt else W, G.B])
     return float(value), 2 * np.vstack([by_states, weight @ np.hstack([G.C @ W, G.D])])
+
+
+def peak(G: StateSpace) -> Sloped:
+    """Of the peak gain of a discrete system, -log(1 - the largest sum of |h| of an output), which has kinks."""
+    radius = float(np.abs(np.linalg.eigvals(G.A)).max(initial=0.0))
+    if not radius < 1:
+        return _outside(G)
+    samples = int(min(max(np.log(TAIL) / np.log(max(radius, 1e-3)), 2), SAMPLES))
+    x = np.empty((samples, G.n, G.nu))  # A^k B
+    x[0] = G.B
+    for k in range(1, samples):
+        x[k] = G.A @ x[k - 1]
+    h = np.concatenate([G.D[None], G.C @ x])
+    sums = np.abs(h).sum(axis=(0, 2))
+    worst = int(np.argmax(sums)) if len(sums) else 0
+    if not len(sums) or not sums[worst] < 1:
+        return (0.0, np.zeros((G.n, G.n + G.nu))) if not len(sums) else _outside(G)
+    signs = np.sign(h[:, worst])  # (samples + 1, nu)
+    found, c = np.zeros((G.n + G.ny, G.n + G.nu)), G.C[worst][:, None]
+    adjoint = c @ signs[-1:]
+    for k in range(samples - 1, 0, -1):
+        found[: G.n, : G.n] += adjoint @ x[k - 1].T
+        adjoint = c @ signs[k : k + 1] + G.A.T @ adjoint
+    found[: G.n, G.n :] = adjoint
+    found[G.n + worst, : G.n] = np.einsum("kij,kj->i", x, signs[1:])
+    found[G.n + worst, G.n :] = signs[0]
+    return -float(np.log(1 - sums[worst])), found / (1 - sums[worst])
 
 
 def within(G: StateSpace, centre: float, radius: float) -> tuple[float, np.ndarray, float]:

@@ -13,8 +13,8 @@ import numpy as np
 
 from synth.analysis import barriers
 from synth.analysis.barriers import Sloped
-from synth.analysis.norms import balance, h2norm, verify
-from synth.analysis.truncation import gramian_factor
+from synth.analysis.norms import balance, h2norm, is_stable, verify
+from synth.analysis.truncation import gramian_factors
 from synth.checks import as_number, shown
 from synth.errors import ModelError, SynthError
 from synth.synthesis.h2 import h2syn
@@ -22,6 +22,7 @@ from synth.synthesis.hinfinity import hinfsyn
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace
 
+PROVED = 1e-8  # of a peak gain may be left to doubt
 MET = 1e-6  # relative: a bound that is missed by less is met
 
 # loop and level -> value, derivative by [A B; C D], and by the logarithm of the level
@@ -128,7 +129,7 @@ class Hinf(Norm):
 
 
 class H2(Norm):
-    """H2 norm, discrete: the root of the mean power of z for white noise of covariance one in w."""
+    """H2 norm: the root of the mean power of z for white noise in w, of covariance (continuous: intensity) one."""
 
     def lmis(self, loop: Any, a: Any, b: Any) -> list[Any]:  # noqa: D102
         from synth.lmi.h2 import h2
@@ -147,7 +148,7 @@ class H2(Norm):
 
 
 class GeneralisedH2(Norm):
-    """Generalised H2 norm, discrete: the largest peak of |z| for a w of energy one."""
+    """Generalised H2 norm: the largest peak of |z| for a w of energy one."""
 
     def lmis(self, loop: Any, a: Any, b: Any) -> list[Any]:  # noqa: D102
         from synth.lmi.generalised_h2 import generalised_h2
@@ -156,10 +157,37 @@ class GeneralisedH2(Norm):
 
     def of(self, G: StateSpace) -> float:  # noqa: D102
         G = balance(G)
-        return float(np.linalg.norm(np.hstack([G.C @ gramian_factor(G.A, G.B), G.D]), 2))
+        if not is_stable(G) or (not G.dt and G.D.any()):
+            return np.inf
+        return float(np.linalg.norm(np.hstack([G.C @ gramian_factors(G)[0], G.D]), 2))
 
     def inside(self, G: StateSpace, rate: float) -> Sloped:  # noqa: D102
         return barriers.covariance(G, trace=False)
+
+    def least(self, P: GeneralizedPlant, proper: bool) -> None:  # noqa: D102
+        return None
+
+
+class Peak(Norm):
+    """Peak gain, discrete: the largest |z_i(k)| for a w of which no sample of a signal is larger than one.
+
+    The worst-case peak gain, or l1 norm. It has no LMI, but a bound (`synth.lmi.peak`); descents lower it itself.
+    """
+
+    continuous = False
+    by_lmi = False
+
+    def inside(self, G: StateSpace, rate: float) -> Sloped:  # noqa: D102
+        return barriers.peak(G)
+
+    def of(self, G: StateSpace) -> float:
+        """Proved to be no larger, see `synth.proof.peakgain`."""
+        from synth.proof.balls import Balls
+        from synth.proof.matrices import exact
+        from synth.proof.peakgain import peak_gains
+
+        gains = peak_gains(Balls(*(exact(M) for M in balance(G).matrices)), few=PROVED)
+        return float(gains.sum(axis=1).max(initial=0.0))
 
     def least(self, P: GeneralizedPlant, proper: bool) -> None:  # noqa: D102
         return None

@@ -49,7 +49,7 @@ class Task:
         ModelError : it is no specification, or none for this plant.
         """
         if not isinstance(minimize, Norm) or type(minimize) is Norm:
-            raise ModelError(f"minimize is {shown(minimize)}; pass Hinf(...), H2(...) or GeneralisedH2(...)")
+            raise ModelError(f"minimize is {shown(minimize)}; pass Hinf(...), H2(...), GeneralisedH2(...) or Peak(...)")
         if not isinstance(subject_to, list | tuple) or not all(
             isinstance(item, Bound | Disc | StrictlyProper) for item in subject_to
         ):
@@ -66,6 +66,8 @@ class Task:
             raise ModelError("P has no states; hinfsyn and h2syn know the best gain")
         for norm in (minimize, *(bound.norm for bound in bounds)):
             norm.numbers(plant)
+            if method != DIRECT and not norm.by_lmi:
+                raise ModelError(f"{name_of(norm, plant)} has no LMI; leave method = {method!r} away")
             if not plant.dt and not norm.anytime and (method != DIRECT or not norm.continuous):
                 remedy = f'leave method = "{method}" away' if norm.continuous else "sample P by c2d"
                 raise ModelError(
