@@ -27,7 +27,7 @@ from synth.synthesis.affineloop import AffineLoop
 from synth.synthesis.direct import Goal, descents
 from synth.synthesis.h2 import h2syn
 from synth.synthesis.hinfinity import hinfsyn
-from synth.synthesis.specifications import MET, Disc, Hinf
+from synth.synthesis.specifications import H2, MET, Disc, Hinf, Norm
 from synth.synthesis.tasks import DIRECT, Found, Task, Told, name_of
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.sampled import design_rate, discretised
@@ -78,6 +78,7 @@ class Search:
     back: Any
     disc: Disc | None  # of the discrete plant
     failures: dict[str, str] = field(default_factory=dict)
+    reached: list[float] = field(default_factory=list)  # factors by which bounds had to be relaxed in descents
     told: str = ""
     missed: str = ""  # by the last controller that was measured
     scales: tuple[float, ...] | None = None  # of the bounds, once a point that meets all is known
@@ -124,12 +125,17 @@ class Search:
         """Controllers for `scaled.plant` to descend from: the best alone, central ones, one that merely stabilises."""
         task = self.task
         known = [alone[1] for alone in self.alone if alone]
-        for bound in task.bounds:
-            if isinstance(bound.norm, Hinf):
-                try:
-                    known.append(hinfsyn(bound.norm.channel(task.plant), gamma=bound.level).controller)
-                except FAILS as error:
-                    self.failures[f"{name_of(bound.norm, task.plant)} <= {bound.level:.7g} alone"] = str(error)
+        others: list[tuple[Norm, float | None]] = []  # best alone for the channel, or central at the level
+        for bound, alone in zip(task.bounds, self.alone[1:], strict=True):
+            channel = {"w": bound.norm.w, "z": bound.norm.z}
+            others += [] if alone else [(H2(**channel), None), (Hinf(**channel), None)]
+            others += [(bound.norm, bound.level)] if isinstance(bound.norm, Hinf) else []
+        for norm, level in others:
+            P = norm.channel(task.plant)
+            try:
+                known.append((hinfsyn(P, gamma=level) if isinstance(norm, Hinf) else h2syn(P)).controller)
+            except FAILS as error:
+                self.failures[f"{name_of(norm, task.plant)} alone, to start from"] = str(error)
         yield from (self.entered(K) for K in known)
         if not task.plant.dt or not known or task.proper:
             try:
@@ -156,7 +162,7 @@ class Search:
             bounds.append(Goal(task.disc.barrier, task.disc.radius))
         lowered = Goal(task.minimize.barrier(plant, rate))
         best = None
-        for K in descents(lambda order: AffineLoop.of(plant, order, rate, free), starts, lowered, bounds):
+        for K in descents(lambda order: AffineLoop.of(plant, order, rate, free), starts, lowered, bounds, self.reached):
             try:
                 K = self.straight.restore(K)
             except FAILS as error:
@@ -272,6 +278,8 @@ class Search:
             parts.append(f"poles within {task.disc.radius:.7g} of {task.disc.centre:.7g}")
         more = ", or a disc that holds all modes that no control moves or no sensor sees" if task.disc else ""
         missed = f"; the last controller missed: {self.missed}" if self.missed else ""
+        if self.reached:
+            missed = f"; all together were met when relaxed by a factor of {min(self.reached):.4g}{missed}"
         text = f"no controller was found that meets all, which proves nothing: {'; '.join(parts)}{missed}"
         return InfeasibleError(f"{text}; allow more{more}", best=np.inf)
 

@@ -83,7 +83,11 @@ class Inside:
 
 
 def descents(
-    loop: Callable[[int], AffineLoop], starts: Iterable[StateSpace], lowered: Goal, bounds: Sequence[Goal]
+    loop: Callable[[int], AffineLoop],
+    starts: Iterable[StateSpace],
+    lowered: Goal,
+    bounds: Sequence[Goal],
+    reached: list[float],
 ) -> Iterator[StateSpace]:
     """Controllers that meet all bounds, from the first starts that lead to one.
 
@@ -91,11 +95,12 @@ def descents(
     ----------
     loop : of an order
     starts : stabilising ones; others are left out
+    reached : takes the factor by which all bounds had to be relaxed at least, of every start that did not meet them
     """
     found = 0
     for K in starts:
         affine = loop(K.n)
-        theta = met(affine, affine.vector(K), bounds)
+        theta = met(affine, affine.vector(K), bounds, reached)
         x = None if theta is None else Inside(affine, (lowered,), bounds, WEIGHTS[0]).entered(theta)
         if x is None:
             continue
@@ -108,7 +113,7 @@ def descents(
             return
 
 
-def met(affine: AffineLoop, theta: np.ndarray, bounds: Sequence[Goal]) -> np.ndarray | None:
+def met(affine: AffineLoop, theta: np.ndarray, bounds: Sequence[Goal], reached: list[float]) -> np.ndarray | None:
     """A controller that meets all bounds, reached from one that may not; None where none is found."""
     if not bounds or np.isfinite(Inside(affine, (), bounds, 1.0)(np.append(theta, 0.0))[0]):
         return theta
@@ -120,6 +125,7 @@ def met(affine: AffineLoop, theta: np.ndarray, bounds: Sequence[Goal]) -> np.nda
         path.follow(Inside(affine, bounds, (), weight), until=float(np.log(MET)))
         if path.x[-1] < np.log(MET):
             return path.x[:-1]
+    reached.append(float(np.exp(path.x[-1])))
     return None
 
 
