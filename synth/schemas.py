@@ -365,6 +365,12 @@ class MpcFile(Record):
     format: Literal["convex-synth mpc"]
     format_version: float
     form: Literal["velocity", "position"]
+    convention: str = ""  # these six not in files of older releases
+    sampling: str = ""
+    limits: str = ""
+    y: Names = []
+    u: Names = []
+    units: dict[str, str] = {}
     dt: Positive
     model: System
     model_sha256: str

@@ -189,6 +189,18 @@ def source_of(item: Any) -> Any:
     return (item.limited or item.system) if isinstance(item, Model) else item
 
 
+def predictive(file: str) -> Any:
+    """The predictive controller in a file, None if there is none in it."""
+    from synth.command.certificates import begins
+    from synth.delivery.qp import FORMAT, load_mpc, restored
+
+    try:
+        return restored(load_mpc(file)) if begins(file) == FORMAT else None
+    except ModelError as error:
+        error.args = (f"{file}: {error}",)
+        raise
+
+
 def gain_of(item: Any, options: argparse.Namespace) -> Any:
     """The anti-windup gain of a loop-shaping design, if it is asked for."""
     if not options.antiwindup:
@@ -246,7 +258,7 @@ def export(options: argparse.Namespace) -> int:
     from synth.delivery.rounding import PRECISIONS
 
     file = options.files[0]
-    item = load(file)
+    item = predictive(file) or load(file)
     if isinstance(item, GeneralizedPlant):
         raise ModelError(f"{file}: this is a plant; pass a design or a controller")
     made(Path(options.output))

@@ -19,7 +19,8 @@ import shutil
 import subprocess
 import tempfile
 import zipfile
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from importlib import metadata, resources
 from pathlib import Path
 from xml.etree import ElementTree
@@ -48,17 +49,54 @@ FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden",
 EPOCH = (1980, 1, 1, 0, 0, 0)  # of every file in the archive, so that the same content gives the same bytes
 
 
-def fmu_bytes(controller: SequentialController, origin: Origin, name: str, *, version: int) -> bytes:
-    """The content of ``name.fmu``; version is 2 or 3.
+@dataclass(frozen=True, kw_only=True)
+class Code:
+    """A controller's C, and what its wrapper, its description and its page say of it."""
+
+    files: Mapping[str, bytes]  # name.h and name.c
+    about: str  # in a line
+    held: str  # what happens where a number is not finite
+    dt: float  # s
+    dtype: str  # of the inputs and outputs
+    umin: np.ndarray  # (m,)
+    umax: np.ndarray  # (m,)
+    joined: str  # lines of model.h: MODEL_INPUTS, MODEL_STEP(state, y, u), MODEL_COMMAND(state), MODEL_HELD
+
+    @classmethod
+    def of(cls, controller: SequentialController, origin: Origin, name: str) -> Code:
+        """Of a linear controller."""
+        return cls(
+            files=c_files(controller, origin, name, self_test=False),
+            about=f"linear controller, {controller.dtype} precision, sample time {controller.dt!r} s",
+            held=HELD,
+            dt=controller.dt,
+            dtype=controller.dtype,
+            umin=controller.umin,
+            umax=controller.umax,
+            joined=f"""\
+#define MODEL_INPUTS {name.upper()}_INPUTS
+#define MODEL_STEP {name}_step
+#define MODEL_COMMAND(state) (state).u
+#define MODEL_HELD "an input, a sum or a state of the controller is not finite: the last command is held"
+""",
+        )
+
+
+def lagging(origin: Origin, dt: float) -> Origin:
+    """The origin of a unit, which says that it lags."""
+    return replace(origin, facts={**origin.facts, "lag": LAG.format(dt=dt)})
+
+
+def fmu_bytes(controller: Code, origin: Origin, name: str, *, version: int) -> bytes:
+    """The content of ``name.fmu``; version is 2 or 3, and the origin is `lagging`.
 
     Raises
     ------
     ExportError : there is no C compiler, this machine has no name in the standard, or two signals have one name.
     """
     _check_signals(origin)
-    origin = replace(origin, facts={**origin.facts, "lag": LAG.format(dt=controller.dt)})
     folder, ending = _platform(version)
-    files = sources(controller, origin, name, version=version)
+    files = sources(controller, name, version=version)
     token = _token(files, description(controller, origin, name, "", version=version))
     files["model.h"] = _model_header(controller, name, token)
     content = {f"sources/{file}": text for file, text in files.items()}
@@ -75,9 +113,9 @@ def _license() -> bytes:
     return (text or "BSD-3-Clause, as convex-synth").encode()
 
 
-def sources(controller: SequentialController, origin: Origin, name: str, *, version: int) -> dict[str, bytes]:
+def sources(controller: Code, name: str, *, version: int) -> dict[str, bytes]:
     """The controller's C, the wrapper and its interface; model.h, which joins them, is still missing."""
-    files = c_files(controller, origin, name, self_test=False)
+    files = dict(controller.files)
     files |= {file: (PACKAGE / file).read_bytes() for file in (f"fmi{version}.c", "instance.h", f"fmi{version}.h")}
     if version == 3:
         root = Element("fmiBuildDescription", fmiVersion="3.0")
@@ -90,12 +128,12 @@ def sources(controller: SequentialController, origin: Origin, name: str, *, vers
     return files
 
 
-def description(controller: SequentialController, origin: Origin, name: str, token: str, *, version: int) -> bytes:
+def description(controller: Code, origin: Origin, name: str, token: str, *, version: int) -> bytes:
     """The file modelDescription.xml: interface, signals, and the origin of the controller as an annotation."""
     step = repr(controller.dt)
     head = {
         "modelName": name,
-        "description": f"{about(controller)}; {origin.facts['convention']}",
+        "description": f"{controller.about}; {origin.facts['convention']}",
         "generationTool": f"convex-synth {metadata.version('convex-synth')}",
     }
     simulation = {"modelIdentifier": name, "canHandleVariableCommunicationStepSize": "true"}
@@ -118,7 +156,7 @@ def description(controller: SequentialController, origin: Origin, name: str, tok
     return _xml(root)
 
 
-def documentation(controller: SequentialController, origin: Origin, name: str) -> bytes:
+def documentation(controller: Code, origin: Origin, name: str) -> bytes:
     """The page documentation/index.html: what the unit computes, its signals with units and limits, its origin."""
     rows = [("name", "variable", "unit", "least", "largest")]
     rows += [(s.name, f"y[{i}], input", s.unit, "", "") for i, s in enumerate(origin.inputs)]
@@ -135,7 +173,7 @@ def documentation(controller: SequentialController, origin: Origin, name: str) -
         "td { overflow-wrap: anywhere } td:first-child { white-space: nowrap; overflow-wrap: normal }"
     )
     SubElement(body, "h1").text = name
-    SubElement(body, "p").text = f"{about(controller)}. {HELD}"
+    SubElement(body, "p").text = f"{controller.about}. {controller.held}"
     for title, lines in (("Signals", rows), ("What it is and where it comes from", list(origin.facts.items()))):
         SubElement(body, "h2").text = title
         table = SubElement(body, "table")
@@ -147,18 +185,13 @@ def documentation(controller: SequentialController, origin: Origin, name: str) -
     return b"<!DOCTYPE html>\n" + ElementTree.tostring(root, encoding="UTF-8", method="html") + b"\n"
 
 
-def about(controller: SequentialController) -> str:
-    """The unit in a line."""
-    return f"linear controller, {controller.dtype} precision, sample time {controller.dt!r} s"
-
-
-def _limits(controller: SequentialController, i: int) -> dict[str, str]:
+def _limits(controller: Code, i: int) -> dict[str, str]:
     """The limits of command i as attributes of its variable."""
     limits = {"min": controller.umin[i], "max": controller.umax[i]}
     return {name: str(float(value)) for name, value in limits.items() if np.isfinite(value)}
 
 
-def _variables2(root: Element, controller: SequentialController, origin: Origin, step: str) -> None:
+def _variables2(root: Element, controller: Code, origin: Origin, step: str) -> None:
     """Version 2: experiment, origin, variables in the order of their references, structure with indices from 1."""
     SubElement(root, "DefaultExperiment", startTime="0.0", stepSize=step)
     tool = SubElement(SubElement(root, "VendorAnnotations"), "Tool", name="convex-synth")
@@ -181,7 +214,7 @@ def _variables2(root: Element, controller: SequentialController, origin: Origin,
     root.append(structure)
 
 
-def _variables3(root: Element, controller: SequentialController, origin: Origin, step: str) -> None:
+def _variables3(root: Element, controller: Code, origin: Origin, step: str) -> None:
     """Version 3: experiment, origin, variables with time as the last one, structure with value references."""
     SubElement(root, "DefaultExperiment", startTime="0.0", stepSize=step)
     variables, structure = SubElement(root, "ModelVariables"), Element("ModelStructure")
@@ -222,7 +255,7 @@ def _token(files: dict[str, bytes], blank: bytes) -> str:
     return f"{{{h[:8]}-{h[8:12]}-{h[12:16]}-{h[16:20]}-{h[20:32]}}}"
 
 
-def _model_header(controller: SequentialController, name: str, token: str) -> bytes:
+def _model_header(controller: Code, name: str, token: str) -> bytes:
     """The header model.h: what the wrapper has to know about this controller."""
     N = name.upper()
     return f"""\
@@ -233,12 +266,10 @@ typedef {controller.dtype} model_real;
 
 #define MODEL_TOKEN "{token}"
 #define MODEL_SAMPLE_TIME {controller.dt!r} /* s */
-#define MODEL_INPUTS {N}_INPUTS
 #define MODEL_OUTPUTS {N}_OUTPUTS
 #define MODEL_STATE {name}_state
 #define MODEL_RESET {name}_reset
-#define MODEL_STEP {name}_step
-""".encode()
+{controller.joined}""".encode()
 
 
 def _compile(files: dict[str, bytes], name: str, version: int) -> bytes:

@@ -41,7 +41,8 @@ def export(
     Parameters
     ----------
     design : Design, or a controller that comes without a plant (StateSpace, `control.StateSpace`, (A, B, C, D, dt),
-        `LinearController`, `AntiWindup`), whose files then say that nothing was verified in a loop
+        `LinearController`, `AntiWindup`), whose files then say that nothing was verified in a loop; or an `Mpc`, which
+        takes none of the options from `umin` to `acceptance`
     format : "json", "mat", "c", "fmu2" or "fmu3"
     folder : made if it is missing
     name : of the files and, in C, of the functions: a C identifier
@@ -60,9 +61,9 @@ def export(
 
     Raises
     ------
-    ExportError : the controller is continuous or unstable (both are fine in json and mat), the name is no C identifier,
-        a file exists, an option does not belong to the format, there is no C compiler for an FMU, or `acceptance` is
-        of another controller.
+    ExportError : the controller is continuous or unstable (both are fine in json and mat) or of a kind that cannot
+        leave, such as `FuelMpc`; the name is no C identifier, a file exists, an option does not belong to the format or
+        the controller, there is no C compiler for an FMU, or `acceptance` is of another controller.
     ModelError : the controller, the limits or the gain are not valid.
     VerificationError : rounded to float, the controller does not stabilise the design's plant.
     """
@@ -76,8 +77,15 @@ def export(
     folder = as_path("folder", folder)
     for flag, given in (("force", force), ("allow_unstable", allow_unstable), ("self_test", self_test)):
         as_flag(flag, given)
+    options: dict[str, Any]
+    if any(kind.__module__.startswith("synth.predictive") for kind in type(design).__mro__):
+        from synth.delivery import predictive
+
+        options = {"umin": umin, "umax": umax, "antiwindup": antiwindup, "inputs": inputs, "acceptance": acceptance}
+        files = predictive.files(design, format, name, self_test=self_test, dtype=dtype, **options)
+        return write_all(folder, files, force=force)
     accepted = NEVER if acceptance is None else _verdict(design, acceptance)
-    options: dict[str, Any] = {"umin": umin, "umax": umax, "antiwindup": antiwindup}
+    options = {"umin": umin, "umax": umax, "antiwindup": antiwindup}
     if format in ("json", "mat"):
         if inputs is not None:
             raise ExportError(f"inputs: a {format} file holds the design, not its arithmetic; leave this away")
@@ -147,9 +155,10 @@ def _code(
     origin = origin_of(design, controller, accepted, told(design, controller, inputs))
     if format == "c":
         return c_files(controller, origin, name, self_test=self_test)
-    from synth.delivery.fmu import fmu_bytes
+    from synth.delivery.fmu import Code, fmu_bytes, lagging
 
-    return {f"{name}.fmu": fmu_bytes(controller, origin, name, version=int(format[-1]))}
+    origin = lagging(origin, controller.dt)
+    return {f"{name}.fmu": fmu_bytes(Code.of(controller, origin, name), origin, name, version=int(format[-1]))}
 
 
 def _fixed(

@@ -75,8 +75,18 @@ def origin_of(
     facts |= {"arithmetic": arithmetic} if arithmetic else {}
     facts |= {"acceptance": accepted} if accepted else {}
     facts["exported by"] = f"convex-synth {metadata.version('convex-synth')}"
-    origin = Origin(facts, inputs, outputs)
-    for where, text in [*facts.items(), *((f"signal {s.name!r}", str(s)) for s in (*inputs, *outputs))]:
+    return checked(Origin(facts, inputs, outputs))
+
+
+def checked(origin: Origin) -> Origin:
+    """The origin, if none of its texts breaks the syntax of a file.
+
+    Raises
+    ------
+    ExportError : one does.
+    """
+    signals = ((f"signal {s.name!r}", str(s)) for s in (*origin.inputs, *origin.outputs))
+    for where, text in [*origin.facts.items(), *signals]:
         if not text.isprintable() or any(part in text for part in FORBIDDEN):
             raise ExportError(f"{where} is {text!r}; use printable characters without {' '.join(FORBIDDEN)}")
     return origin

@@ -22,6 +22,7 @@ import scipy.io
 from synth.checks import as_path
 from synth.errors import ModelError
 from synth.files import PARTS, SEAL, check_seal, provenance, read_json, sealed_by_parts, write_atomically
+from synth.synthesis import convention
 from synth.systems.statespace import StateSpace
 
 if TYPE_CHECKING:
@@ -41,15 +42,27 @@ def save_mpc(controller: Mpc, path: str | os.PathLike[str]) -> Path:
     ModelError : the file name ends otherwise.
     """
     path = as_path("path", path)
-    content = document(controller)
     if path.suffix == ".json":
-        data = sealed_by_parts(jsonable(content))
-        return write_atomically(path, json.dumps(data, indent=1, allow_nan=False).encode())
+        return write_atomically(path, json_bytes(controller))
     if path.suffix == ".mat":
-        buffer = io.BytesIO()
-        scipy.io.savemat(buffer, {"mpc": content}, oned_as="column", long_field_names=True)
-        return write_atomically(path, buffer.getvalue())
+        return write_atomically(path, mat_bytes(controller))
     raise ModelError(f"path ends with {path.suffix!r}; a predictive controller is saved as .json or .mat")
+
+
+def json_bytes(controller: Mpc) -> bytes:
+    """The content of the .json file, with a sha256 of all of it."""
+    return json.dumps(sealed_by_parts(jsonable(document(controller))), indent=1, allow_nan=False).encode()
+
+
+def mat_bytes(controller: Mpc) -> bytes:
+    """The content of the .mat file, one struct ``mpc``."""
+    from synth.delivery.matlab import cell
+
+    buffer, content = io.BytesIO(), document(controller)
+    units = [content["units"].get(name, "") for name in (*content["y"], *content["u"])]
+    content |= {"y": cell(content["y"]), "u": cell(content["u"]), "units": cell(units)}
+    scipy.io.savemat(buffer, {"mpc": content}, oned_as="column", long_field_names=True)
+    return buffer.getvalue()
 
 
 def load_mpc(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -97,7 +110,8 @@ def restored(found: Mapping[str, Any]) -> Mpc:
     from synth.predictive.horizon import mpc
 
     settings = {key: int(v) if key in ("Np", "Nc", "delay") else v for key, v in found["settings"].items()}
-    return mpc(StateSpace(**found["model"], dt=found["dt"]), form=found["form"], **settings)
+    names = {key: found[key] for key in ("u", "y", "units") if key in found}
+    return mpc(StateSpace(**found["model"], dt=found["dt"], **names), form=found["form"], **settings)
 
 
 def _arrays(value: Any, key: str = "") -> Any:
@@ -120,6 +134,10 @@ def document(controller: Mpc) -> dict[str, Any]:
         "format": FORMAT,
         "format_version": float(FORMAT_VERSION),
         "form": p.form,
+        **conventions(controller),
+        "y": list(p.model.y),
+        "u": list(p.model.u),
+        "units": dict(p.model.units),
         "dt": float(controller.dt),
         "model": {name: getattr(p.model, name) for name in "ABCD"},
         "model_sha256": p.model.digest(),
@@ -129,6 +147,17 @@ def document(controller: Mpc) -> dict[str, Any]:
         "qp": {name: getattr(qp, name) for name in ("P", "A", "lower", "offset", "slope")},
         "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
         "date": date,
+    }
+
+
+def conventions(controller: Mpc) -> dict[str, str]:
+    """What the controller reads, when, and within which limits: the same words in every format."""
+    p = controller.problem
+    states, momentum = np.isfinite([*p.ymin, *p.ymax]).any(), np.isfinite(p.hmax).any()
+    return {
+        "convention": convention.PREDICTIVE,
+        "sampling": convention.sampling(float(controller.dt), p.delay),
+        "limits": convention.planned_limits(bool(states), bool(momentum)),
     }
 
 

@@ -115,7 +115,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean noSet
     if (status == fmi2OK && self->data.fault) {
         status = fmi2Warning;
         if (self->log != NULL) {
-            self->log(self->environment, self->name, status, "logStatusWarning", "%s", HELD);
+            self->log(self->environment, self->name, status, "logStatusWarning", "%s", MODEL_HELD);
         }
     }
     return status;

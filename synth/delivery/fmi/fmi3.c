@@ -101,7 +101,7 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
 
         status = fmi3Warning;
         if (self->log != NULL) {
-            self->log(self->environment, status, "logStatusWarning", HELD);
+            self->log(self->environment, status, "logStatusWarning", MODEL_HELD);
         }
     }
     *eventHandlingNeeded = *terminateSimulation = *earlyReturn = fmi3False;

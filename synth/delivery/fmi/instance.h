@@ -5,8 +5,8 @@
  * Sample k is taken at start + k * MODEL_SAMPLE_TIME. A step from t to t + h takes the samples in [t, t + h) with
  * the inputs set before the step; the outputs hold between samples. Value references: inputs, outputs, time.
  *
- * Inputs that are not finite are refused when they are set. Where the controller itself meets a number that is not
- * finite, as by overflow in single precision, it holds its last command and the step ends with a warning.
+ * Inputs that are not finite are refused when they are set. Where the controller itself finds no command, as by overflow
+ * in single precision, it holds its last one and the step ends with a warning.
  */
 #ifndef INSTANCE_H
 #define INSTANCE_H
@@ -28,7 +28,6 @@
 #pragma GCC diagnostic ignored "-Wunused-parameter" /* the standard fixes the signatures */
 #endif
 
-#define HELD "an input, a sum or a state of the controller is not finite: the last command is held"
 #define TIME (MODEL_INPUTS + MODEL_OUTPUTS)
 #define TOLERANCE (1e-6 * MODEL_SAMPLE_TIME) /* s, of a sample at the end of a step */
 
@@ -46,7 +45,7 @@ static void data_reset(controller_data *data)
 {
     memset(data->y, 0, sizeof data->y);
     MODEL_RESET(&data->state);
-    memcpy(data->u, data->state.u, sizeof data->u);
+    memcpy(data->u, MODEL_COMMAND(data->state), sizeof data->u);
     data->fault = 0;
     data->samples = 0;
 }

@@ -1,99 +1,312 @@
-"""The predictive controller's program as C: compiled, it gives the command of the controller that was verified."""
+"""Predictive controllers in C: the command of the controller in Python, at every sample, or a status that says why not.
 
-import ctypes
+The CubeSat's are those of the study (Pecorilla and Stesina 2024, table 3); the others are random.
+"""
+
+import re
 import shutil
 import subprocess
-import sys
 
 import numpy as np
 import pytest
-from exported import gcc
-from literature import cubesat_model
+from exactmpc import random_program
+from exportedmpc import CompiledMpc, exported, flight, rescaled
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from table3 import FORMS, MODEL, REST, SOFT, TABLE_3, TORQUE
 
-from synth.delivery.solver import _wrapper, export_mpc
-from synth.errors import ExportError
+import synth
+from synth.delivery.cmpc import flown, program, sizes
+from synth.errors import ExportError, NumericalError
 from synth.predictive.horizon import mpc
+from synth.predictive.prestabilised import LongArithmetic
+from synth.systems.statespace import StateSpace
+
+AGREES = 1e-9  # of the larger limit of each command
+SOLVED, BAD_DATA, UNSOLVED = range(3)
+TIGHT = {"hmax": 4e-4}  # N m s, active at every slew
+CUBESATS = {
+    "position": {"form": "position", **SOFT}, "velocity": {"form": "velocity", **SOFT},
+    "position, late": {"form": "position", "delay": 2, **SOFT}, "velocity, late": {"form": "velocity", "delay": 1},
+    "position, momentum": {"form": "position", **TIGHT}, "velocity, momentum": {"form": "velocity", **TIGHT},
+    "position, hard limits alone": {"form": "position"},
+}  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def controller():
-    weights = {"Q": 1e3 * np.eye(6), "R": 1e3 * np.eye(3)}
-    return mpc(cubesat_model(), **weights, Np=10, Nc=7, umin=-1e-3, umax=1e-3, form="position", hmax=10.8e-3)
-
-
-def test_the_compiled_program_gives_the_command(controller, tmp_path):
-    """Twenty states, some with saturated commands: QOCO in C agrees with DAQP."""
-    pytest.importorskip("cvxpygen", reason="CVXPYgen generates the C of this test and is not installed")
-    if shutil.which("gcc") is None:
-        pytest.skip("gcc is not installed")
-    paths = export_mpc(controller, tmp_path / "mpc", name="attitude")
-    folder = tmp_path / "mpc"
-    main = tmp_path / "main.c"
-    main.write_text(
-        '#include <stdio.h>\n#include "attitude.h"\n'
-        "int main(void) {\n"
-        "    double phi[ATTITUDE_PARAMETERS], u[ATTITUDE_OUTPUTS];\n"
-        "    for (;;) {\n"
-        '        for (int i = 0; i < ATTITUDE_PARAMETERS; ++i) if (scanf("%lf", &phi[i]) != 1) return 0;\n'
-        "        if (attitude_solve(phi, u)) return 1;\n"
-        '        printf("%.17g %.17g %.17g\\n", u[0], u[1], u[2]);\n'
-        "    }\n}\n"
-    )
-    sources = [main, folder / "attitude.c", *sorted((folder / "src").glob("*.c"))]
-    gcc("-O2", "-w", "-I", folder, "-I", folder / "include", *sources, "-lm", "-o", tmp_path / "main")
+@pytest.mark.parametrize("case", CUBESATS)
+def test_the_cubesat_in_closed_loop(case, tmp_path):
+    """2000 samples of slews with noise and a disturbance, each of the two with a plant of its own."""
+    controller = mpc(MODEL, **TABLE_3, **CUBESATS[case])
+    compiled = exported(controller, tmp_path)
+    assert compiled.self_test() == 0
     rng = np.random.default_rng(0)
-    states = rng.normal(size=(20, 6)) * [0.05, 0.05, 0.05, 1e-3, 1e-3, 1e-3]
-    parameters = [controller.parameters(controller.init(), y, np.zeros(6)) for y in states]
-    text = "\n".join(" ".join(repr(float(v)) for v in phi) for phi in parameters)
-    done = subprocess.run([str(tmp_path / "main")], input=text, capture_output=True, text=True, check=True)
-    found = np.array([[float(v) for v in line.split()] for line in done.stdout.splitlines()])
-    expected = np.array([controller.step(controller.init(), y, np.zeros(6))[1] for y in states])
-    assert np.abs(found - expected).max() < 2e-5 * 1e-3  # of the limit; measured 8e-6
-    assert (np.abs(expected) > 0.999e-3).any()
-    assert not any(str(tmp_path).encode() in path.read_bytes() for path in paths)
-    with pytest.raises(ExportError, match="exists; pass force=True"):
-        export_mpc(controller, folder, name="attitude")
+    noise = 1e-3 * rng.standard_normal((2000, 6)) * [1, 1, 1, 0.1, 0.1, 0.1]
+    targets = np.repeat(np.hstack([rng.uniform(-0.3, 0.3, (20, 3)), np.zeros((20, 3))]), 100, axis=0)
+    flights, limited = [], 0
+    for step in (flight(controller), compiled.step):
+        delay, x, U = controller.problem.delay, np.array([-0.13, 0.22, 0.09, 0, 0.0011, 0]), []
+        for k in range(2000):
+            U.append(step(x + noise[k], targets[k]))
+            acting = U[k - delay] if k >= delay else np.zeros(3)
+            x = MODEL.A @ x + MODEL.B @ (acting + 1e-5)
+            limited += step == compiled.step and not compiled.slack
+        flights.append(np.array(U))
+    assert np.abs(flights[0] - flights[1]).max() <= AGREES * TORQUE
+    assert compiled.statuses == {SOLVED}
+    assert 0 < compiled.most <= sizes(controller)["ITERATIONS"]
+    assert limited >= 40
+    assert np.abs(flights[1]).max() <= TORQUE
 
 
-STUB = """
+def test_the_study_s_own_controllers(tmp_path):
+    """As the study poses them, about nadir on its orbit."""
+    from cubesat3u_controllers import predictive
+
+    for form in FORMS:
+        controller = predictive(form)
+        compiled = exported(controller, tmp_path)
+        assert compiled.self_test() == 0
+        A, B, unit = controller.problem.model.A, controller.problem.model.B, controller.problem.unit
+        own, rng, x, off = flight(controller), np.random.default_rng(1), 0.2 * np.ones(6), 0.0
+        for k in range(2000):
+            r = np.zeros(6) if k % 200 < 100 else np.array([0.2, -0.1, 0.3, 0, 0, 0])
+            y = x + 1e-4 * rng.standard_normal(6)
+            u = own(y, r)
+            off = max(off, np.abs((u - compiled.step(y, r)) / unit).max())
+            x = A @ x + B @ u
+        assert off <= AGREES
+        assert compiled.statuses == {SOLVED}
+
+
+def both(controller, compiled, x, r, state):
+    """One sample by both from the same memory: what Python returns, and how far C is off, in units of the limits."""
+    compiled.remember(state)
+    after, u = controller.step(state, x, r)
+    found = compiled.step(x, r)
+    return after, u, np.abs((u - found) / controller.problem.unit).max()
+
+
+@st.composite
+def programs(draw):
+    return draw(st.integers(0, 10**6)), draw(st.sampled_from([-6, -3, 0, 3, 6])), draw(st.sampled_from([-6, 0, 6]))
+
+
+def replayed(case, folder):
+    """A random plant in random units under its predictive controller: the commands agree at every sample."""
+    seed, states, commands = case
+    model, options, x, r = rescaled(seed, 10.0**states, 10.0**commands)
+    controller = mpc(model, **options)
+    compiled = exported(controller, folder)
+    p, rng, state = controller.problem, np.random.default_rng(seed), controller.init()
+    acting = [np.zeros(model.nu)] * p.delay
+    for k in range(40):
+        try:
+            state, u, off = both(controller, compiled, x, r if k > 20 else 0 * r, state)
+        except NumericalError:
+            return
+        assert compiled.status == SOLVED or state.fallbacks
+        assert off <= AGREES or compiled.status == UNSOLVED
+        assert compiled.iterations <= sizes(controller)["ITERATIONS"]
+        assert (compiled.last >= p.umin).all()
+        assert (compiled.last <= p.umax).all()
+        acting.append(u)
+        x = model.A @ x + model.B @ (acting[k] + 0.1 * p.unit * rng.uniform(-1, 1, model.nu))
+    assert compiled.self_test() == 0
+
+
+@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], derandomize=True)
+@given(case=programs())
+def test_random_plants_in_any_units(case, tmp_path):
+    replayed(case, tmp_path)
+
+
+@pytest.mark.slow
+@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(case=programs())
+def test_many_random_plants_in_any_units(case, tmp_path):
+    replayed(case, tmp_path)
+
+
+SEEDS = [1077, 1182, 1005, 1029, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2000, 2040))]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_what_is_called_solved_is_the_optimum_also_where_doubles_end(seed, tmp_path):
+    """Modes to 1.5 a sample over horizons to 100 with soft limits that cannot be kept: right, or refused and held."""
+    model, options, x, r, past, d = random_program(np.random.default_rng(seed))
+    controller = mpc(model, **options)
+    prediction = x - d if controller.problem.form == "velocity" else None
+    state = controller.init()._replace(prediction=prediction, inputs=past)
+    compiled = exported(controller, tmp_path, self_test=False)
+    compiled.remember(state)
+    u, unit, phi = compiled.step(x, r), controller.problem.unit, controller.parameters(state, x, r)
+    if compiled.status == SOLVED:
+        m = unit.size
+        best = LongArithmetic(controller.problem, commands=True)(phi, controller.qp.likely(phi))[:m]
+        np.testing.assert_allclose(u / unit, best, rtol=0, atol=1e-8)
+    else:
+        assert compiled.status == UNSOLVED
+        np.testing.assert_allclose(u, state.inputs[-1], rtol=1e-15)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_what_is_no_number_is_refused_and_the_last_command_is_held(form, tmp_path):
+    controller = mpc(MODEL, form=form, **TABLE_3, **SOFT)
+    compiled, x = exported(controller, tmp_path), np.array([-0.13, 0.22, 0.09, 0, 0.0011, 0])
+    before = compiled.step(x, REST)
+    for value in (np.nan, np.inf, -np.inf, 1e200):
+        for k in range(6):
+            for y, r in ((np.where(np.arange(6) == k, value, x), REST), (x, np.where(np.arange(6) == k, value, 0))):
+                np.testing.assert_array_equal(compiled.step(y, r), before)
+                assert compiled.status == BAD_DATA
+    np.testing.assert_allclose(
+        compiled.memory.momentum, -0.5 * 49 * before, rtol=1e-12
+    )  # it was commanded all the time
+    state = controller.init()._replace(inputs=before[None], momentum=np.array(compiled.memory.momentum))
+    assert np.abs(compiled.step(x, REST) - controller.step(state, x, REST)[1]).max() <= AGREES * TORQUE
+    assert compiled.status == SOLVED
+    compiled.memory.momentum[0] = np.nan
+    for _ in range(2):
+        compiled.step(x, REST)
+        assert compiled.status == BAD_DATA
+    compiled.memory.momentum[0] = 0.0
+    compiled.step(x, REST)
+    assert compiled.status == SOLVED
+
+
+@pytest.mark.parametrize("size", [1e3, 1e6, 1e12])
+def test_far_beyond_all_limits_there_is_a_saturated_command_or_a_status(size, tmp_path):
+    controller = mpc(MODEL, form="position", **TABLE_3, **SOFT)
+    compiled, rng = exported(controller, tmp_path), np.random.default_rng(2)
+    for _ in range(20):
+        x = size * rng.uniform(-1, 1, 6)
+        compiled.reset()
+        u = compiled.step(x, REST)
+        assert np.abs(u).max() <= TORQUE
+        if compiled.status == SOLVED:
+            expected = controller.step(controller.init(), x, REST)[1]
+            np.testing.assert_allclose(u, expected, rtol=0, atol=1e-8 * TORQUE)
+
+
+def test_a_step_ends_at_the_bound_of_its_iterations_and_says_so(tmp_path):
+    """With a bound of eight exchanges some samples of a slew have no command, and none is wrong."""
+    controller = mpc(MODEL, form="position", **TABLE_3, **SOFT)
+    folder = tmp_path / "short"
+    synth.export(controller, "c", folder, name="attitude")
+    header = (folder / "attitude.h").read_text()
+    shorter, count = re.subn(r"(#define ATTITUDE_ITERATIONS) \d+", r"\1 8", header)
+    assert count == 1
+    (folder / "attitude.h").write_text(shorter)
+    compiled, x, state = CompiledMpc(folder / "attitude.c", controller), np.full(6, 0.1), controller.init()
+    for _ in range(60):
+        _, u, off = both(controller, compiled, x, REST, state)
+        assert compiled.iterations <= 8
+        held = np.clip(state.inputs[-1], -TORQUE, TORQUE)
+        assert (compiled.last == held).all() if compiled.status == UNSOLVED else off <= AGREES
+        state = controller.step(state, x, REST)[0]
+        x = MODEL.A @ x + MODEL.B @ u
+    assert compiled.statuses == {SOLVED, UNSOLVED}
+
+
+def test_every_constant_is_guarded_by_the_self_test(tmp_path):
+    """The last digit but one of one number in each table is changed."""
+    controller = mpc(MODEL, form="velocity", **TABLE_3, **SOFT)
+    synth.export(controller, "c", tmp_path, name="attitude")
+    source, rng = (tmp_path / "attitude.c").read_text(), np.random.default_rng(3)
+    for key in program(controller):
+        start = source.index(f"static const double {key}[")
+        text = source[start : source.index(";\n", start)]
+        numbers = [n for n in re.finditer(r"\d+\.\d+(?=[e,\s}])", text) if float(n[0]) != 0]
+        number = numbers[rng.integers(len(numbers))]
+        digit = str((int(number[0][-1]) + 5) % 10)
+        changed = text[: number.end() - 1] + digit + text[number.end() :]
+        folder = tmp_path / key
+        folder.mkdir()
+        (folder / "attitude.h").write_text((tmp_path / "attitude.h").read_text())
+        (folder / "attitude.c").write_text(source.replace(text, changed))
+        assert CompiledMpc(folder / "attitude.c", controller).self_test() != 0, key
+
+
+MAIN = """
 #include <math.h>
-typedef struct { double *v; } prim_t;
-typedef struct { int status; } info_t;
-static double solution[64];
-static prim_t prim = { solution };
-static info_t information = { 1 };
-static struct { prim_t *prim; info_t *info; } CPG_Result = { &prim, &information };
-static void cpg_set_solver_default_settings(void) {}
-static void cpg_set_solver_abstol(double t) { (void)t; }
-static void cpg_set_solver_reltol(double t) { (void)t; }
-static void cpg_update_phi(int i, double value) { solution[i % 64] = value > 1e100 ? NAN : 0.5; }
-static void cpg_solve(void) {}
+#include <stdio.h>
+#include "attitude.h"
+int main(void)
+{
+    static attitude_state state;
+    double y[ATTITUDE_STATES] = { 0.3, -0.2, 0.1 }, r[ATTITUDE_STATES] = { 0 }, u[ATTITUDE_OUTPUTS];
+    attitude_reset(&state);
+    for (int k = 0; k < 1000; ++k) {
+        for (int i = 0; i < ATTITUDE_STATES; ++i) {
+            const double last = k % 97 == 1 ? 0 : y[i];
+            y[i] = k % 97 == 0 ? NAN : k % 89 == 0 ? 1e100 : 0.9 * last + 0.01 * ((k * (i + 3)) % 7 - 3);
+        }
+        attitude_step(&state, y, r, u);
+        if (k % 89 == 0) {
+            y[0] = y[1] = y[2] = y[3] = y[4] = y[5] = 0;
+        }
+    }
+    printf("%d\\n", attitude_self_test());
+    return 0;
+}
 """
 
 
-def test_what_is_no_number_leaves_the_command_as_it_was(controller, tmp_path):
-    """The wrapper beside a solver that gives half a unit, or NaN where a parameter is huge."""
-    if shutil.which("gcc") is None:
-        pytest.skip("gcc is not installed")
-    for name, content in _wrapper(controller, "attitude").items():
-        (tmp_path / name).write_bytes(content)
-    (tmp_path / "cpg_solve.h").write_text(STUB)
-    (tmp_path / "cpg_workspace.h").write_text("")
-    gcc("-std=c99", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared", tmp_path / "attitude.c", "-o", tmp_path / "a.so")
-    solve = ctypes.CDLL(str(tmp_path / "a.so")).attitude_solve
-    size = controller.problem.parameters["inputs"].stop
-    u = (ctypes.c_double * 3)(7.0, 8.0, 9.0)
-    for value in (np.nan, np.inf, -np.inf, 1e200):
-        phi = (ctypes.c_double * size)(*np.zeros(size))
-        phi[1] = value
-        assert solve(phi, u) == 1
-        assert list(u) == [7.0, 8.0, 9.0]
-    assert solve((ctypes.c_double * size)(*np.zeros(size)), u) == 0
-    np.testing.assert_allclose(u, 0.5 * controller.problem.unit)
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.parametrize("form", FORMS)
+def test_it_compiles_without_a_warning_and_runs_without_undefined_behaviour(compiler, form, tmp_path):
+    if shutil.which(compiler) is None:
+        pytest.skip(f"{compiler} compiles the C of this test and is not installed")
+    synth.export(mpc(MODEL, form=form, delay=2, **TABLE_3, **SOFT), "c", tmp_path, name="attitude")
+    (tmp_path / "main.c").write_text(MAIN)
+    strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wvla"]
+    checked = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g"]
+    sources = [str(tmp_path / "main.c"), str(tmp_path / "attitude.c")]
+    command = [compiler, *strict, *checked, "-DATTITUDE_SELF_TEST", *sources, "-lm", "-o", str(tmp_path / "main")]
+    built = subprocess.run(command, capture_output=True, text=True)
+    assert built.returncode == 0, built.stderr
+    done = subprocess.run([str(tmp_path / "main")], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "0\n", "")
+    assert not re.search(r"\b(malloc|calloc|realloc|free|alloca)\b", (tmp_path / "attitude.c").read_text())
 
 
-def test_without_the_generator_the_error_says_what_to_install(controller, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "cvxpygen", None)
-    with pytest.raises(ExportError, match=r"needs CVXPYgen .*: pip install cvxpygen, or save the program as JSON"):
-        export_mpc(controller, tmp_path)
+def test_the_program_without_soft_limits_and_the_one_without_limits_that_matter(tmp_path):
+    """No rows at all; limits of one sign, whose least command is not zero; one state, one command."""
+    G = StateSpace([[0.9]], [[0.5]], [[1.0]], [[0.0]], 0.1)
+    controller = mpc(G, Q=1, R=0.1, Np=4, Nc=2, umin=0.25, umax=2.0, form="position")
+    compiled, own, x = exported(controller, tmp_path), flight(controller), np.array([3.0])
+    np.testing.assert_array_equal(compiled.step(x * np.nan, x), [0.25])  # nothing commanded yet, and zero is no command
+    compiled.reset()
+    for k in range(50):
+        r = np.array([2.0 * (-1) ** (k // 10)])
+        u = own(x, r)
+        np.testing.assert_allclose(compiled.step(x, r), u, rtol=0, atol=2 * AGREES)
+        x = G.A @ x + G.B @ u
+    assert compiled.statuses == {SOLVED, BAD_DATA}
+
+
+def test_the_stored_flight_reaches_the_limits():
+    for form in FORMS:
+        y, u = flown(mpc(MODEL, form=form, **TABLE_3, **SOFT))
+        assert (np.abs(np.abs(u) - TORQUE) < 1e-9 * TORQUE).sum() >= 5
+        assert np.isfinite(y).all()
+
+
+def test_what_cannot_leave_says_why_and_what_to_do(tmp_path):
+    G = synth.c2d(StateSpace([[0, 1], [0, 0]], [[0], [1]], np.eye(2), np.zeros((2, 1))), 0.5)
+    controller = mpc(G, Q=1, R=1, Np=5, Nc=3, umin=-1, umax=1)
+    fuel = synth.fuel_mpc(G, box=1.0, umax=1.0, horizon=3)
+    with pytest.raises(
+        ExportError, match=r"a FuelMpc cannot leave: it solves a linear program .* pose the task as mpc"
+    ):
+        synth.export(fuel, "c", tmp_path)
+    for option, message in (
+        ({"umin": -1.0}, "umin: .* pose it with mpc"), ({"dtype": "float"}, "dtype: .* in other numbers than doubles"),
+        ({"dtype": 3}, "dtype: "), ({"antiwindup": np.zeros((2, 1))}, "antiwindup: "), ({"inputs": 1.0}, "inputs: "),
+        ({"acceptance": "x"}, "acceptance: .* fly this one"),
+    ):  # fmt: skip
+        with pytest.raises(ExportError, match=message):
+            synth.export(controller, "c", tmp_path, **option)
+    with pytest.raises(ExportError, match="no controller; pass what mpc returned"):
+        synth.export(controller.problem, "c", tmp_path)
     assert not list(tmp_path.iterdir())

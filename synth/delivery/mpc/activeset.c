@@ -1,0 +1,289 @@
+/* g = P v + f, and A'y with the multipliers of the rows; with those of the variables too if they are asked for. */
+static void gradient(const mpc_state *s, int all, double g[MPC_VARIABLES])
+{
+    for (int i = 0; i < MPC_VARIABLES; ++i) {
+        g[i] = s->f[i];
+        for (int j = 0; j < MPC_VARIABLES; ++j) {
+            g[i] += P[i][j] * s->v[j];
+        }
+    }
+    for (int k = 0; k < s->size; ++k) {
+        if (s->row[k] >= MPC_VARIABLES) {
+            for (int j = 0; j < MPC_VARIABLES; ++j) {
+                g[j] += A[s->row[k] - MPC_VARIABLES][j] * s->y[k];
+            }
+        } else if (all) {
+            g[s->row[k]] += s->sign[k] * s->y[k];
+        }
+    }
+}
+
+/* v and y with the rows of the working set at their limits: from nothing, and once more from what is left over. */
+static void optimum(mpc_state *s)
+{
+    double g[MPC_VARIABLES], c[MPC_VARIABLES], y[MPC_VARIABLES];
+
+    for (int i = 0; i < MPC_VARIABLES; ++i) {
+        s->v[i] = s->y[i] = 0;
+    }
+    for (int pass = 0; pass < 3; ++pass) {
+        gradient(s, 1, g);
+        for (int j = 0; j < MPC_VARIABLES; ++j) {
+            c[j] = 0;
+            for (int i = 0; i < MPC_VARIABLES; ++i) {
+                c[j] -= s->J[i][j] * g[i];
+            }
+            y[j] = c[j];
+        }
+        for (int k = 0; k < s->size; ++k) {
+            c[k] = limit(s, s->row[k], s->sign[k]) - along(s, s->row[k], s->sign[k]);
+        }
+        forth(s, c);
+        for (int k = 0; k < s->size; ++k) {
+            y[k] -= c[k];
+        }
+        back(s, y);
+        for (int i = 0; i < MPC_VARIABLES; ++i) {
+            for (int j = 0; j < MPC_VARIABLES; ++j) {
+                s->v[i] += s->J[i][j] * c[j];
+            }
+        }
+        for (int k = 0; k < s->size; ++k) {
+            s->y[k] += y[k];
+            if (s->row[k] < MPC_VARIABLES) {
+                s->v[s->row[k]] = s->sign[k] * limit(s, s->row[k], s->sign[k]);
+            }
+        }
+    }
+}
+
+/* The row that is violated most, by more than rounding, relative to its length in the metric of P; -1 for none. */
+static int violated(mpc_state *s, double *sign)
+{
+    int worst = -1;
+    double most = 0;
+
+    for (int i = 0; i < COUNT; ++i) {
+        double sum = 0, size = 1, side = 1, excess;
+        if (i < MPC_VARIABLES) {
+            side = upper[i] - s->v[i] < s->v[i] - lower[i] ? 1 : -1;
+            excess = side > 0 ? s->v[i] - upper[i] : lower[i] - s->v[i];
+            size += fabs(s->v[i]);
+        } else {
+            for (int j = 0; j < MPC_VARIABLES; ++j) {
+                const double term = A[i - MPC_VARIABLES][j] * s->v[j];
+                sum += term;
+                size += fabs(term);
+            }
+            excess = sum - s->b[i - MPC_VARIABLES];
+            size += fabs(s->b[i - MPC_VARIABLES]);
+            s->w[i - MPC_VARIABLES] = sum;
+        }
+        s->noise[i] = NOISE * size;
+        if (!s->taken[i] && excess > s->noise[i] && excess > most * length[i]) {
+            most = excess / length[i];
+            worst = i;
+            *sign = side;
+        }
+    }
+    return worst;
+}
+
+/* Drives a violated row to its limit; 0 if that takes too many exchanges. */
+static int enter(mpc_state *s, int row, double sign)
+{
+    double multiplier = 0, d[MPC_VARIABLES], r[MPC_VARIABLES];
+
+    while (s->iterations < s->allowed) {
+        double square, whole, full = INFINITY, part = INFINITY, step;
+        int leaving = -1;
+
+        s->iterations += 1;
+        seen(s, row, sign, d);
+        square = squares(d, s->size);
+        whole = squares(d, 0);
+        for (int k = 0; k < s->size; ++k) {
+            r[k] = d[k];
+        }
+        back(s, r);
+        for (int k = 0; k < s->size; ++k) {
+            if (r[k] > 0 && s->y[k] < part * r[k]) {
+                part = s->y[k] / r[k];
+                leaving = k;
+            }
+        }
+        if (s->size < MPC_VARIABLES && square > DEPENDENT * whole) {
+            full = (along(s, row, sign) - limit(s, row, sign)) / square;
+        }
+        step = full < part ? full : part;
+        if (!(step < INFINITY)) {
+            s->taken[row] = 1; /* it lies in the span of the others: violated by rounding, or the check will tell */
+            return 1;
+        }
+        for (int i = 0; full < INFINITY && i < MPC_VARIABLES; ++i) {
+            for (int j = s->size; j < MPC_VARIABLES; ++j) {
+                s->v[i] -= step * s->J[i][j] * d[j];
+            }
+        }
+        for (int k = 0; k < s->size; ++k) {
+            s->y[k] -= step * r[k];
+            s->y[k] = s->y[k] > 0 ? s->y[k] : 0;
+        }
+        multiplier += step;
+        if (full <= part) {
+            join(s, row, sign, multiplier, d);
+            return 1;
+        }
+        leave(s, leaving);
+    }
+    return 0;
+}
+
+/* From the working set to the optimum; 0 if that takes too many exchanges. */
+static int search(mpc_state *s)
+{
+    int row;
+    double sign = 1;
+
+    for (;;) { /* rows of the last sample whose multipliers are negative now are let go */
+        int least = 0;
+        optimum(s);
+        for (int k = 1; k < s->size; ++k) {
+            least = s->y[k] < s->y[least] ? k : least;
+        }
+        if (s->size == 0 || !(s->y[least] < 0)) {
+            break;
+        }
+        if (s->iterations >= s->allowed) {
+            return 0;
+        }
+        s->iterations += 1;
+        leave(s, least);
+    }
+    row = violated(s, &sign);
+    while (row >= 0) {
+        while (row >= 0) {
+            if (!enter(s, row, sign)) {
+                return 0;
+            }
+            row = violated(s, &sign);
+        }
+        optimum(s);
+        for (int k = s->size - 1; k >= 0; --k) {
+            if (!(s->y[k] > 0)) { /* by rounding: the check will tell */
+                leave(s, k);
+            }
+        }
+        row = violated(s, &sign);
+    }
+    return 1;
+}
+
+/* Largest entry of the commands, in magnitude, of J2 J2'a (of a row with d = J'a). */
+static double moved(const mpc_state *s, const double d[MPC_VARIABLES])
+{
+    double most = 0;
+    for (int i = 0; i < MPC_OUTPUTS; ++i) {
+        double sum = 0;
+        for (int j = s->size; j < MPC_VARIABLES; ++j) {
+            sum += s->J[i][j] * d[j];
+        }
+        most = fabs(sum) > most ? fabs(sum) : most;
+    }
+    return most;
+}
+
+/*
+ * How far the commands can be from the optimum, each in its own unit: the natural residual
+ * e = [v; A v] - clip([v - g; A v + y]), g = P v + f + A'y (stationary, within the limits, multipliers of the right
+ * sign, complementary), times what each of its entries does to the commands as long as the same rows are active.
+ */
+static double error_bound(const mpc_state *s)
+{
+    double g[MPC_VARIABLES], d[MPC_VARIABLES], effect[MPC_VARIABLES], e[COUNT], sum = 0, reach = 0;
+
+    gradient(s, 0, g);
+    for (int i = 0; i < MPC_VARIABLES; ++i) {
+        const double z = s->v[i] - g[i];
+        e[i] = fabs(s->v[i] - (z > upper[i] ? upper[i] : z < lower[i] ? lower[i] : z));
+    }
+    for (int i = 0; i < MPC_ROWS; ++i) {
+        e[MPC_VARIABLES + i] = s->w[i] > s->b[i] ? s->w[i] - s->b[i] : 0;
+    }
+    for (int k = 0; k < s->size; ++k) {
+        if (s->row[k] >= MPC_VARIABLES) {
+            const int i = s->row[k] - MPC_VARIABLES;
+            const double z = s->w[i] + s->y[k];
+            e[s->row[k]] = fabs(s->w[i] - (z > s->b[i] ? s->b[i] : z));
+        }
+    }
+    for (int k = 0; k < s->size; ++k) {
+        effect[k] = 0;
+    }
+    for (int i = 0; i < MPC_OUTPUTS; ++i) {
+        reach = length[i] > reach ? length[i] : reach;
+        for (int k = 0; k < s->size; ++k) {
+            d[k] = s->J[i][k];
+        }
+        back(s, d);
+        for (int k = 0; k < s->size; ++k) {
+            effect[k] = fabs(d[k]) > effect[k] ? fabs(d[k]) : effect[k];
+        }
+    }
+    for (int k = 0; k < s->size; ++k) {
+        sum += effect[k] * e[s->row[k]];
+        e[s->row[k]] = 0;
+    }
+    for (int i = 0; i < COUNT; ++i) {
+        if (i >= MPC_VARIABLES) {
+            e[i] = e[i] <= s->noise[i] ? 0 : e[i] - s->noise[i];
+        }
+        if (e[i] != 0) {
+            double square = 1;
+            seen(s, i, 1, d);
+            if (i >= MPC_VARIABLES) {
+                const double least = DISTINCT * squares(d, 0);
+                square = squares(d, s->size);
+                if (!(square > least)) { /* in the span of the active ones, and yet it is violated */
+                    sum += reach * e[i] / sqrt(least);
+                    continue;
+                }
+            }
+            sum += moved(s, d) * e[i] / square;
+        }
+    }
+    return sum;
+}
+
+/* Whether v is the optimum for f and b: from the last working set, and if that fails from none. */
+static int solved(mpc_state *s)
+{
+    double d[MPC_VARIABLES];
+    int rows = s->size;
+
+    s->iterations = 0;
+    s->allowed = rows == 0 ? MPC_ITERATIONS : MPC_ITERATIONS / 2;
+    for (;;) {
+        memcpy(s->J, root, sizeof s->J);
+        memset(s->taken, 0, sizeof s->taken);
+        s->size = 0;
+        for (int k = 0; k < rows; ++k) {
+            seen(s, s->row[k], s->sign[k], d);
+            if (squares(d, s->size) > DEPENDENT * squares(d, 0)) {
+                join(s, s->row[k], s->sign[k], 0, d);
+            }
+        }
+        if (search(s)) {
+            s->error = error_bound(s);
+            if (s->error <= ACCURACY) {
+                return 1;
+            }
+        }
+        s->size = 0;
+        if (rows == 0) {
+            return 0;
+        }
+        rows = 0;
+        s->allowed = MPC_ITERATIONS;
+    }
+}
