@@ -41,10 +41,8 @@ PLATFORMS = {  # system and machine -> ending of the binary, its folder in each 
     ("Darwin", "arm64"): (".dylib", {3: "aarch64-darwin"}),
     ("Windows", "AMD64"): (".dll", {2: "win64", 3: "x86_64-windows"}),
 }
-LAG = (
-    "as a co-simulation unit: outputs are seen one sampling time, {dt!r} s, after the inputs they answer to; synth "
-    "verify --as fmu judges the loop with this lag"
-)
+LAG = "as a co-simulation unit: outputs are seen one sampling time, {dt!r} s, after the inputs they answer to; {then}"
+JUDGED = "synth verify --as fmu judges the loop with this lag"
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden", "-shared")
 EPOCH = (1980, 1, 1, 0, 0, 0)  # of every file in the archive, so that the same content gives the same bytes
 
@@ -82,9 +80,9 @@ class Code:
         )
 
 
-def lagging(origin: Origin, dt: float) -> Origin:
-    """The origin of a unit, which says that it lags."""
-    return replace(origin, facts={**origin.facts, "lag": LAG.format(dt=dt)})
+def lagging(origin: Origin, dt: float, then: str = JUDGED) -> Origin:
+    """The origin of a unit, which says that it lags, and what then."""
+    return replace(origin, facts={**origin.facts, "lag": LAG.format(dt=dt, then=then)})
 
 
 def fmu_bytes(controller: Code, origin: Origin, name: str, *, version: int) -> bytes:

@@ -52,8 +52,11 @@ def files(controller: Any, format: str, name: str, *, self_test: bool, **options
         return mpc_files(controller, origin, name, self_test=self_test)
     from synth.delivery.fmu import Code, fmu_bytes, lagging
 
-    origin = lagging(origin, controller.dt)
     p, N = controller.problem, name.upper()
+    planned = f"it is {'the' if p.delay == 1 else 'one'} sampling time of delay that the controller plans for"
+    origin = lagging(
+        origin, controller.dt, planned if p.delay else "mpc(..., delay=1) makes a controller that plans for it"
+    )
     code = Code(
         files=mpc_files(controller, origin, name, self_test=False),
         about=about(controller), held=held(name),

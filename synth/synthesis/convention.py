@@ -42,9 +42,7 @@ def sampling(dt: float, delay: int = 0) -> str:
     every = "the sampling time, which was not told" if dt is True else f"{dt!r} s"
     if delay:
         late = f"{delay} sampling times later" if delay > 1 else "one sampling time later"
-        return (
-            f"sample k is read at k times {every}; its command acts {late}, as the controller knows, until the next one"
-        )
+        return f"sample k is read at k times {every}; its command acts {late}, which is planned for, until the next one"
     return (
         f"sample k is read at k times {every}; its command acts from that instant, without time to compute it, until "
         "the next one"

@@ -139,6 +139,57 @@ static int enter(mpc_state *s, int row, double sign)
     return 0;
 }
 
+/* How far rounding can put the gradient off. */
+static void blur(const mpc_state *s, double noise[MPC_VARIABLES])
+{
+    for (int i = 0; i < MPC_VARIABLES; ++i) {
+        noise[i] = fabs(s->f[i]);
+        for (int j = 0; j < MPC_VARIABLES; ++j) {
+            noise[i] += fabs(P[i][j] * s->v[j]);
+        }
+    }
+    for (int k = 0; k < s->size; ++k) {
+        for (int j = 0; s->row[k] >= MPC_VARIABLES && j < MPC_VARIABLES; ++j) {
+            noise[j] += fabs(A[s->row[k] - MPC_VARIABLES][j] * s->y[k]);
+        }
+        if (s->row[k] < MPC_VARIABLES) {
+            noise[s->row[k]] += s->y[k];
+        }
+    }
+    for (int i = 0; i < MPC_VARIABLES; ++i) {
+        noise[i] *= ROUNDING;
+    }
+}
+
+/* Rows leave the working set whose multipliers are not positive beyond what rounding does to them. */
+static void let_doubtful_go(mpc_state *s)
+{
+    double noise[MPC_VARIABLES], doubt[MPC_VARIABLES], x[MPC_VARIABLES];
+
+    blur(s, noise);
+    for (int k = 0; k < s->size; ++k) {
+        doubt[k] = 0;
+    }
+    for (int i = 0; i < MPC_VARIABLES + s->size; ++i) { /* of the gradient, then of the rows */
+        const int j = i - MPC_VARIABLES;
+        for (int k = 0; k < s->size; ++k) {
+            x[k] = j < 0 ? s->J[i][k] : k == j;
+        }
+        if (j >= 0) {
+            forth(s, x);
+        }
+        back(s, x);
+        for (int k = 0; k < s->size; ++k) {
+            doubt[k] += fabs(x[k]) * (j < 0 ? noise[i] : s->row[j] < MPC_VARIABLES ? 0 : s->noise[s->row[j]]);
+        }
+    }
+    for (int k = s->size - 1; k >= 0; --k) {
+        if (!(s->y[k] > doubt[k])) {
+            leave(s, k);
+        }
+    }
+}
+
 /* From the working set to the optimum; 0 if that takes too many exchanges. */
 static int search(mpc_state *s)
 {
@@ -169,12 +220,8 @@ static int search(mpc_state *s)
             row = violated(s, &sign);
         }
         optimum(s);
-        for (int k = s->size - 1; k >= 0; --k) {
-            if (!(s->y[k] > 0)) { /* by rounding: the check will tell */
-                leave(s, k);
-            }
-        }
         row = violated(s, &sign);
+        let_doubtful_go(s);
     }
     return 1;
 }
@@ -200,9 +247,11 @@ static double moved(const mpc_state *s, const double d[MPC_VARIABLES])
  */
 static double error_bound(const mpc_state *s)
 {
-    double g[MPC_VARIABLES], d[MPC_VARIABLES], effect[MPC_VARIABLES], e[COUNT], sum = 0, reach = 0;
+    double g[MPC_VARIABLES], noise[MPC_VARIABLES], d[MPC_VARIABLES], effect[MPC_VARIABLES], e[COUNT];
+    double sum = 0, reach = 0;
 
     gradient(s, 0, g);
+    blur(s, noise);
     for (int i = 0; i < MPC_VARIABLES; ++i) {
         const double z = s->v[i] - g[i];
         e[i] = fabs(s->v[i] - (z > upper[i] ? upper[i] : z < lower[i] ? lower[i] : z));
@@ -235,7 +284,9 @@ static double error_bound(const mpc_state *s)
         e[s->row[k]] = 0;
     }
     for (int i = 0; i < COUNT; ++i) {
-        if (i >= MPC_VARIABLES) {
+        if (i < MPC_VARIABLES) {
+            e[i] += s->taken[i] ? 0 : noise[i];
+        } else {
             e[i] = e[i] <= s->noise[i] ? 0 : e[i] - s->noise[i];
         }
         if (e[i] != 0) {
@@ -259,7 +310,7 @@ static double error_bound(const mpc_state *s)
 static int solved(mpc_state *s)
 {
     double d[MPC_VARIABLES];
-    int rows = s->size;
+    int rows = s->size > 0 && s->size <= MPC_VARIABLES ? s->size : 0;
 
     s->iterations = 0;
     s->allowed = rows == 0 ? MPC_ITERATIONS : MPC_ITERATIONS / 2;
@@ -268,6 +319,9 @@ static int solved(mpc_state *s)
         memset(s->taken, 0, sizeof s->taken);
         s->size = 0;
         for (int k = 0; k < rows; ++k) {
+            if (s->row[k] < 0 || s->row[k] >= COUNT || s->taken[s->row[k]]) {
+                continue; /* no state of ours */
+            }
             seen(s, s->row[k], s->sign[k], d);
             if (squares(d, s->size) > DEPENDENT * squares(d, 0)) {
                 join(s, s->row[k], s->sign[k], 0, d);

@@ -13,6 +13,7 @@
 #define DEPENDENT 1e-20 /* square of what a row has beyond the span of others, relative: less is nothing */
 #define NOISE 1e-14     /* of a row's sum, relative to its terms: a smaller excess is none */
 #define DISTINCT 9e-12  /* the same, of a row whose excess is weighed by the check */
+#define ROUNDING 1e-15  /* of a gradient, relative to its terms */
 #define ACCURACY 1e-8   /* bound of the error that passes the check, in units of each command's larger limit */
 
 /* d = J'a of a row with the sign of its limit: + for the upper, - for the lower. */
@@ -76,7 +77,7 @@ static void back(const mpc_state *s, double x[MPC_VARIABLES])
 /* x becomes R'^-1 x. */
 static void forth(const mpc_state *s, double x[MPC_VARIABLES])
 {
-    for (int i = 0; i < s->size; ++i) {
+    for (int i = 0; i < s->size && i < MPC_VARIABLES; ++i) {
         for (int j = 0; j < i; ++j) {
             x[i] -= s->R[j][i] * x[j];
         }

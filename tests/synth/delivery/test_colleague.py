@@ -1,4 +1,4 @@
-"""docs/colleague.md: every block on the page runs, and all of them give the same commands."""
+"""docs/colleague.md: every block on the page runs, and all of a controller give the same commands."""
 
 import contextlib
 import io
@@ -60,16 +60,29 @@ def test_octave_finds_the_same_commands(handed):
     np.testing.assert_allclose([float(v) for v in values if v], commands, rtol=1e-7)
 
 
-def test_c_finds_the_same_commands_within_the_limits(handed):
-    folder, commands = handed
-    (folder / "main.c").write_text(blocks("c")[0])
-    line = re.search(r"`cc (.*?)`", PAGE)
-    assert line is not None
-    subprocess.run(["gcc", *line[1].split(), "-o", "main"], cwd=folder, check=True)
+def compiled(number: int, folder: Path) -> np.ndarray:
+    """What a block in C prints, compiled as the page says: the commands, none of them a fault."""
+    (folder / "main.c").write_text(blocks("c")[number])
+    line = re.findall(r"`cc (.*?)`", PAGE)[number]
+    subprocess.run(["gcc", *line.split(), "-o", "main"], cwd=folder, check=True)
     rows = subprocess.run([folder / "main"], capture_output=True, text=True, check=True).stdout.split()
     assert rows[1::2] == ["0"] * 5
+    return np.array(rows[::2], float)
+
+
+def test_c_finds_the_same_commands_within_the_limits(handed):
+    folder, commands = handed
     assert np.abs(commands).max() > 0.01  # so that the limits act
-    np.testing.assert_allclose(np.array(rows[::2], float), commands.clip(-0.01, 0.01), rtol=1e-7)
+    np.testing.assert_allclose(compiled(0, folder), commands.clip(-0.01, 0.01), rtol=1e-7)
+
+
+def test_a_predictive_controller_has_the_same_commands_in_c(handed):
+    folder, _ = handed
+    with contextlib.chdir(folder):
+        commands = numbers(printed(blocks("python")[3]))
+    assert commands.shape == (5,)
+    assert np.abs(commands).max() > 0.01 * (1 - 1e-9) > 0.0099 > np.abs(commands).min()  # limited, and not
+    np.testing.assert_allclose(compiled(1, folder), commands, rtol=0, atol=1e-9 * 0.01)
 
 
 def test_the_unit_finds_the_same_commands_within_the_limits(handed):

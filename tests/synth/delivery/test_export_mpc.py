@@ -224,7 +224,7 @@ def test_every_constant_is_guarded_by_the_self_test(tmp_path):
         folder.mkdir()
         (folder / "attitude.h").write_text((tmp_path / "attitude.h").read_text())
         (folder / "attitude.c").write_text(source.replace(text, changed))
-        assert CompiledMpc(folder / "attitude.c", controller).self_test() != 0, key
+        assert CompiledMpc(folder / "attitude.c", controller, "-O0").self_test() != 0, key
 
 
 MAIN = """
@@ -270,10 +270,11 @@ def test_it_compiles_without_a_warning_and_runs_without_undefined_behaviour(comp
     assert not re.search(r"\b(malloc|calloc|realloc|free|alloca)\b", (tmp_path / "attitude.c").read_text())
 
 
-def test_the_program_without_soft_limits_and_the_one_without_limits_that_matter(tmp_path):
+@pytest.mark.parametrize("Nc", [1, 2, 3])
+def test_the_smallest_programs(Nc, tmp_path):
     """No rows at all; limits of one sign, whose least command is not zero; one state, one command."""
     G = StateSpace([[0.9]], [[0.5]], [[1.0]], [[0.0]], 0.1)
-    controller = mpc(G, Q=1, R=0.1, Np=4, Nc=2, umin=0.25, umax=2.0, form="position")
+    controller = mpc(G, Q=1, R=0.1, Np=4, Nc=Nc, umin=0.25, umax=2.0, form="position")
     compiled, own, x = exported(controller, tmp_path), flight(controller), np.array([3.0])
     np.testing.assert_array_equal(compiled.step(x * np.nan, x), [0.25])  # nothing commanded yet, and zero is no command
     compiled.reset()
