@@ -1,17 +1,21 @@
 """What a step of model predictive control costs: python benchmarks/mpc.py
 
-The CubeSat of Pecorilla and Stesina (2024, equation 12), table 3, both forms, soft limits on rate and momentum. Three
+The CubeSat of Pecorilla and Stesina (2024, equation 12), table 3, both forms, soft limits on rate and momentum. Four
 ways to the same command for the same measurements of a regulation from the attitude error of table 3, in one run:
 
     step      the controller's public step, checks and bookkeeping included
     raw       DAQP alone: update and solve of the same program, vectors ready, warm start by DAQP
+    C         the exported C, called from Python: its solver, its check and its memory
     cvxpy     CVXPY with parameters on the condensed program, solved by Clarabel at its defaults
 
 Each measurement is repeated; the fastest of the repetitions counts. Targets, for the study's program (soft limits on):
-step / raw <= 4, cvxpy / step >= 50. Without soft limits DAQP needs half the time and the bookkeeping weighs more.
+step / raw <= 4, C / step <= 1, cvxpy / step >= 50. Without soft limits DAQP needs half the time and the bookkeeping
+weighs more.
 """
 
+import ctypes
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -20,6 +24,7 @@ import daqp
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+from exportedmpc import REAL, exported
 from literature import cubesat_model
 
 from synth import Mpc, mpc
@@ -77,6 +82,23 @@ def raw_daqp(controller: Mpc, cases):
     return run
 
 
+def in_c(controller: Mpc, cases, folder: Path):
+    """A function that returns the commands of all periods."""
+    compiled, size = exported(controller, folder), controller.problem.model.B.shape
+    step, memory = compiled.library.attitude_step, ctypes.byref(compiled.memory)
+    inputs, r = [(REAL * size[0])(*y) for _, y in cases], (REAL * size[0])()
+    commands = [(REAL * size[1])() for _ in cases]
+
+    def run():
+        compiled.reset()
+        for y, u in zip(inputs, commands, strict=True):
+            if step(memory, y, r, u):
+                raise RuntimeError("a step found no command")
+        return np.array(commands) / TORQUE
+
+    return run
+
+
 def cvxpy_condensed(controller: Mpc, cases):
     """A function that returns the commands and slacks of all periods."""
     qp, N = controller.qp, controller.qp.P.shape[0]
@@ -103,7 +125,11 @@ def main():
     limits = {"ymin": [-np.inf] * 3 + [-RATE] * 3, "ymax": [np.inf] * 3 + [RATE] * 3, "hmax": MOMENTUM}
     table_3 = {"Q": 1000 * np.eye(6), "R": 1000 * np.eye(3), "Np": 10, "Nc": 7, "umin": -TORQUE, "umax": TORQUE}
     print(f"{PERIODS} periods, microseconds per step")
-    print("form      soft  noise |   step    raw   cvxpy | step/raw  cvxpy/step | command differs by (raw, cvxpy)")
+    print(
+        "form      soft  noise |   step    raw      C   cvxpy | step/raw  C/step  C/raw  cvxpy/step"
+        " | command differs by (raw, C, cvxpy)"
+    )
+    folder = Path(tempfile.mkdtemp())
     for form in ("position", "velocity"):
         for soft in (limits, {}):
             for noise in (0.0, 2e-3):
@@ -111,14 +137,16 @@ def main():
                 cases = flight(controller, noise)
                 stepped = stepping(controller, cases)
                 raw, posed = raw_daqp(controller, cases), cvxpy_condensed(controller, cases)
-                t_step, t_raw = fastest([stepped, raw], 200)
+                ours = in_c(controller, cases, folder)
+                t_step, t_raw, t_c = fastest([stepped, raw, ours], 200)
                 (t_cvxpy,) = fastest([posed], 4)
                 u = np.array(stepped()) / TORQUE
-                off = [np.abs(np.array(run())[:, :3] - u).max() for run in (raw, posed)]
+                off = [np.abs(np.array(run())[:, :3] - u).max() for run in (raw, ours, posed)]
                 print(
                     f"{form:9} {'yes' if soft else 'no':4} {noise:6.0e}"
-                    f" | {1e6 * t_step:6.1f} {1e6 * t_raw:6.1f} {1e6 * t_cvxpy:7.0f}"
-                    f" | {t_step / t_raw:8.2f}  {t_cvxpy / t_step:10.0f} | {off[0]:.0e} {off[1]:.0e}"
+                    f" | {1e6 * t_step:6.1f} {1e6 * t_raw:6.1f} {1e6 * t_c:6.1f} {1e6 * t_cvxpy:7.0f}"
+                    f" | {t_step / t_raw:8.2f}  {t_c / t_step:6.2f} {t_c / t_raw:6.2f}  {t_cvxpy / t_step:10.0f}"
+                    f" | {off[0]:.0e} {off[1]:.0e} {off[2]:.0e}"
                 )
 
 

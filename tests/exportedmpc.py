@@ -27,7 +27,7 @@ def memory_of(controller: Mpc) -> type[ctypes.Structure]:
     fields += [("size", WHOLE), ("row", WHOLE * N), ("sign", REAL * N), ("iterations", WHOLE), ("error", REAL)]
     fields += [("allowed", WHOLE), ("taken", ctypes.c_ubyte * (N + rows))]
     fields += [(name, REAL * N) for name in "vyf"] + [(name, REAL * rows) for name in "bw"]
-    fields += [("noise", REAL * (N + rows)), ("J", REAL * (N * N)), ("R", REAL * (N * N))]
+    fields += [("J", REAL * (N * N)), ("R", REAL * (N * N))]
     return type("Memory", (ctypes.Structure,), {"_fields_": fields})
 
 

@@ -102,7 +102,6 @@ def header(controller: Mpc, origin: Origin, name: str, self_test: bool) -> str:
         ("int allowed", "this and what follows: workspace"),
         (f"unsigned char taken[{N}_VARIABLES + {N}_ROWS]", ""),
         *((f"double {key}[{N}_VARIABLES]", "") for key in "vyf"), *((f"double {key}[{N}_ROWS]", "") for key in "bw"),
-        (f"double noise[{N}_VARIABLES + {N}_ROWS]", ""),
         *((f"double {key}[{N}_VARIABLES][{N}_VARIABLES]", "") for key in "JR"),
     ]  # fmt: skip
     members = "\n".join(f"    {what};{f' /* {why} */' if why else ''}" for what, why in own)

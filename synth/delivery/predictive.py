@@ -103,4 +103,4 @@ def state_bytes(size: dict[str, int]) -> int:
     """How large the state is in C, workspace included, about."""
     N, M = size["VARIABLES"], size["ROWS"]
     remembered = size["OUTPUTS"] * (size["MEMORY"] + 1) + size["STATES"] * size["VELOCITY"]
-    return 8 * (2 * N * N + 6 * N + 3 * M + remembered) + 5 * N + M
+    return 8 * (2 * N * N + 4 * N + 2 * M + remembered) + 5 * N + M

@@ -18,23 +18,23 @@ static void gradient(const mpc_state *s, int all, double g[MPC_VARIABLES])
     }
 }
 
-/* v and y with the rows of the working set at their limits: from nothing, and once more from what is left over. */
-static void optimum(mpc_state *s)
+/* v and y with the rows of the working set at their limits: from nothing, then from what is left over. */
+static void optimum(mpc_state *s, int passes)
 {
     double g[MPC_VARIABLES], c[MPC_VARIABLES], y[MPC_VARIABLES];
 
     for (int i = 0; i < MPC_VARIABLES; ++i) {
         s->v[i] = s->y[i] = 0;
     }
-    for (int pass = 0; pass < 3; ++pass) {
+    for (int pass = 0; pass < passes; ++pass) {
         gradient(s, 1, g);
-        for (int j = 0; j < MPC_VARIABLES; ++j) {
-            c[j] = 0;
-            for (int i = 0; i < MPC_VARIABLES; ++i) {
+        memset(c, 0, sizeof c);
+        for (int i = 0; i < MPC_VARIABLES; ++i) {
+            for (int j = 0; j < MPC_VARIABLES; ++j) {
                 c[j] -= s->J[i][j] * g[i];
             }
-            y[j] = c[j];
         }
+        memcpy(y, c, sizeof y);
         for (int k = 0; k < s->size; ++k) {
             c[k] = limit(s, s->row[k], s->sign[k]) - along(s, s->row[k], s->sign[k]);
         }
@@ -57,6 +57,19 @@ static void optimum(mpc_state *s)
     }
 }
 
+/* How far rounding can put the sum of a row off. */
+static double unsure(const mpc_state *s, int row)
+{
+    double size = 1;
+    if (row < MPC_VARIABLES) {
+        return NOISE * (size + fabs(s->v[row]));
+    }
+    for (int j = 0; j < MPC_VARIABLES; ++j) {
+        size += fabs(A[row - MPC_VARIABLES][j] * s->v[j]);
+    }
+    return NOISE * (size + fabs(s->b[row - MPC_VARIABLES]));
+}
+
 /* The row that is violated most, by more than rounding, relative to its length in the metric of P; -1 for none. */
 static int violated(mpc_state *s, double *sign)
 {
@@ -64,23 +77,15 @@ static int violated(mpc_state *s, double *sign)
     double most = 0;
 
     for (int i = 0; i < COUNT; ++i) {
-        double sum = 0, size = 1, side = 1, excess;
+        double side = 1, excess;
         if (i < MPC_VARIABLES) {
             side = upper[i] - s->v[i] < s->v[i] - lower[i] ? 1 : -1;
             excess = side > 0 ? s->v[i] - upper[i] : lower[i] - s->v[i];
-            size += fabs(s->v[i]);
         } else {
-            for (int j = 0; j < MPC_VARIABLES; ++j) {
-                const double term = A[i - MPC_VARIABLES][j] * s->v[j];
-                sum += term;
-                size += fabs(term);
-            }
-            excess = sum - s->b[i - MPC_VARIABLES];
-            size += fabs(s->b[i - MPC_VARIABLES]);
-            s->w[i - MPC_VARIABLES] = sum;
+            s->w[i - MPC_VARIABLES] = along(s, i, 1);
+            excess = s->w[i - MPC_VARIABLES] - s->b[i - MPC_VARIABLES];
         }
-        s->noise[i] = NOISE * size;
-        if (!s->taken[i] && excess > s->noise[i] && excess > most * length[i]) {
+        if (!s->taken[i] && excess > most * length[i] && excess > unsure(s, i)) {
             most = excess / length[i];
             worst = i;
             *sign = side;
@@ -172,6 +177,10 @@ static void let_doubtful_go(mpc_state *s)
     }
     for (int i = 0; i < MPC_VARIABLES + s->size; ++i) { /* of the gradient, then of the rows */
         const int j = i - MPC_VARIABLES;
+        const double size = j < 0 ? noise[i] : s->row[j] < MPC_VARIABLES ? 0 : unsure(s, s->row[j]);
+        if (!(size > 0)) {
+            continue;
+        }
         for (int k = 0; k < s->size; ++k) {
             x[k] = j < 0 ? s->J[i][k] : k == j;
         }
@@ -180,7 +189,7 @@ static void let_doubtful_go(mpc_state *s)
         }
         back(s, x);
         for (int k = 0; k < s->size; ++k) {
-            doubt[k] += fabs(x[k]) * (j < 0 ? noise[i] : s->row[j] < MPC_VARIABLES ? 0 : s->noise[s->row[j]]);
+            doubt[k] += fabs(x[k]) * size;
         }
     }
     for (int k = s->size - 1; k >= 0; --k) {
@@ -198,7 +207,7 @@ static int search(mpc_state *s)
 
     for (;;) { /* rows of the last sample whose multipliers are negative now are let go */
         int least = 0;
-        optimum(s);
+        optimum(s, 1);
         for (int k = 1; k < s->size; ++k) {
             least = s->y[k] < s->y[least] ? k : least;
         }
@@ -211,19 +220,18 @@ static int search(mpc_state *s)
         s->iterations += 1;
         leave(s, least);
     }
-    row = violated(s, &sign);
-    while (row >= 0) {
-        while (row >= 0) {
+    for (;;) {
+        for (row = violated(s, &sign); row >= 0; row = violated(s, &sign)) {
             if (!enter(s, row, sign)) {
                 return 0;
             }
-            row = violated(s, &sign);
         }
-        optimum(s);
-        row = violated(s, &sign);
-        let_doubtful_go(s);
+        optimum(s, 3);
+        if (violated(s, &sign) < 0) {
+            let_doubtful_go(s);
+            return 1;
+        }
     }
-    return 1;
 }
 
 /* Largest entry of the commands, in magnitude, of J2 J2'a (of a row with d = J'a). */
@@ -286,8 +294,9 @@ static double error_bound(const mpc_state *s)
     for (int i = 0; i < COUNT; ++i) {
         if (i < MPC_VARIABLES) {
             e[i] += s->taken[i] ? 0 : noise[i];
-        } else {
-            e[i] = e[i] <= s->noise[i] ? 0 : e[i] - s->noise[i];
+        } else if (e[i] != 0) {
+            const double rounding = unsure(s, i);
+            e[i] = e[i] <= rounding ? 0 : e[i] - rounding;
         }
         if (e[i] != 0) {
             double square = 1;

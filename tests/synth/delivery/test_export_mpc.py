@@ -230,6 +230,7 @@ def test_every_constant_is_guarded_by_the_self_test(tmp_path):
 MAIN = """
 #include <math.h>
 #include <stdio.h>
+#include <string.h>
 #include "attitude.h"
 int main(void)
 {
@@ -246,6 +247,9 @@ int main(void)
             y[0] = y[1] = y[2] = y[3] = y[4] = y[5] = 0;
         }
     }
+    memset(&state, 1, sizeof state); /* as it comes without a reset */
+    y[0] = 0;
+    attitude_step(&state, y, r, u);
     printf("%d\\n", attitude_self_test());
     return 0;
 }
