@@ -50,6 +50,7 @@ def program(file: str) -> dict[str, Any]:
     settings, (n, m) = found["settings"], found["model"]["B"].shape
     return {
         "kind": "predictive controller", "form": found["form"], **timebase(found["dt"]), "states": n, "commands": m,
+        **{key: found[key] for key in ("convention", "sampling", "limits") if key in found},
         "horizon": settings["Np"], "free_moves": settings["Nc"], "delay": settings["delay"],
         "umin": settings["umin"].tolist(), "umax": settings["umax"].tolist(), "variables": len(found["qp"]["P"]),
         "rows": len(found["qp"]["A"]), "date": found["date"], "versions": found["versions"],

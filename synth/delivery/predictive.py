@@ -8,12 +8,15 @@ from __future__ import annotations
 from importlib import metadata
 from typing import Any
 
+import numpy as np
+
 from synth.delivery import qp
 from synth.delivery.cmpc import about, held, mpc_files, program, sizes
 from synth.delivery.origin import Origin, Signal, checked
 from synth.errors import ExportError
 from synth.predictive.fuel import FuelMpc
 from synth.predictive.horizon import Mpc
+from synth.predictive.prestabilised import STIFF
 
 OF_LINEAR = {  # options of `export` that are for linear controllers: name -> (value when left away, what to do instead)
     "umin": (None, "its limits are in its program: pose it with mpc(..., umin=...)"),
@@ -93,10 +96,23 @@ def origin_of(controller: Mpc) -> Origin:
         f"most {size['ITERATIONS']} exchanges of rows a sample, no allocation",
         "check": "residuals of the optimality conditions: what leaves is within 1e-8 of the optimum, in units of each "
         "command's larger limit",
+        **_stiff(controller),
         "fallback": "the last command again, within its limits; the status says so",
         "exported by": f"convex-synth {metadata.version('convex-synth')}",
     }
     return checked(Origin(facts, (*y, *r), u))
+
+
+def _stiff(controller: Mpc) -> dict[str, str]:
+    """What does not leave of a program whose penalty drowns the rest: Python goes on in long arithmetic."""
+    heaviest = float(np.diag(controller.qp.P).max())
+    if heaviest <= STIFF:
+        return {}
+    return {
+        "soft limits": f"their penalty is {heaviest:.0e} times the weight of a command: where one cannot be kept, "
+        "doubles may not know the optimum, and then the last command is held, while Python goes on in long "
+        "arithmetic; a shorter horizon or a smaller penalty avoids that"
+    }
 
 
 def state_bytes(size: dict[str, int]) -> int:

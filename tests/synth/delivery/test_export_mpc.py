@@ -174,6 +174,15 @@ def test_what_is_no_number_is_refused_and_the_last_command_is_held(form, tmp_pat
     assert compiled.status == SOLVED
 
 
+def test_measured_momentum_is_written_into_the_state(tmp_path):
+    controller = mpc(MODEL, form="velocity", **TABLE_3, **TIGHT)
+    compiled, x, h = exported(controller, tmp_path), np.array([0.02, 0, 0, 0, 0, 0]), np.array([4e-4, 0, -3e-4])
+    compiled.memory.momentum[:] = h.tolist()
+    expected = controller.step(controller.init(), np.concatenate([x, h]), REST)[1]
+    assert np.abs(compiled.step(x, REST) - expected).max() <= AGREES * TORQUE
+    assert np.abs(expected - controller.step(controller.init(), x, REST)[1]).max() > 0.1 * TORQUE
+
+
 @pytest.mark.parametrize("size", [1e3, 1e6, 1e12])
 def test_far_beyond_all_limits_there_is_a_saturated_command_or_a_status(size, tmp_path):
     controller = mpc(MODEL, form="position", **TABLE_3, **SOFT)

@@ -75,6 +75,15 @@ def test_the_header_names_limits_and_the_bound_of_the_iterations(written):
     assert re.search(r"at most \d+ exchanges of rows a sample, no allocation", text)
 
 
+def test_a_penalty_that_drowns_the_rest_is_told_in_the_header(tmp_path, written):
+    """Full command over 60 samples costs 1e18: what cannot be kept is solved in long arithmetic, which stays here."""
+    model = StateSpace([[1.4, 0.3], [0, 0.9]], [[0], [1]], np.eye(2), np.zeros((2, 1)), 1.0)
+    stiff = mpc(model, Q=1, R=1, Np=60, Nc=60, umin=-1, umax=1, ymax=[1.0, 0.6], ymin=[-1.0, -0.6])
+    text = flat(export(stiff, "c", tmp_path, self_test=False)[0].read_text())
+    assert re.search(r"penalty is \de\+1\d times the weight of a command: where one cannot be kept", text)
+    assert "long arithmetic" not in flat(written["c"].read_text())
+
+
 def test_the_data_is_read_back_with_its_names(written):
     again = restored(load_mpc(written["json"]))
     assert (again.problem.model.u, again.problem.model.y) == (SIGNALS["u"], SIGNALS["y"])
