@@ -107,7 +107,7 @@ def rescaled(seed: int, states: float, commands: float) -> tuple[StateSpace, dic
     """A random program (model, options, x, r), its states and commands in units of random size up to these factors."""
     rng = np.random.default_rng(seed)
     G, options, x, r, *_ = random_program(rng, largest=8, growth=1.15)
-    T, S = states ** rng.uniform(0, 1, G.n), commands ** rng.uniform(0, 1, G.nu)  # x becomes T x, u becomes S u
+    T, S = states ** rng.uniform(0, 1, G.n), commands * 10 ** rng.uniform(-2, 2, G.nu)  # x becomes T x, u S u
     model = StateSpace(T[:, None] * G.A / T, T[:, None] * G.B / S, G.C, G.D, G.dt)
     for name, scale in (("Q", 1 / T), ("terminal", 1 / T), ("R", 1 / S)):
         if options.get(name) is not None:

@@ -4,8 +4,9 @@
 
 No allocation, no recursion, loops of fixed bounds. The solver in the folder `mpc` is ours, from the published
 algorithm. What leaves is checked by the residuals of the optimality conditions, as `synth.predictive.optimality` does
-it and to the same accuracy; where the check fails, and where a measurement is no number, the last command is held and
-the status says so. The other routes of Python (Clarabel, long arithmetic) do not leave.
+it and to the same accuracy; what is known less well leaves as rough. Where it is not known at all, and where a
+measurement is no number, the last command is held. The status tells which. The other routes of Python (Clarabel, long
+arithmetic) do not leave.
 """
 
 from __future__ import annotations
@@ -23,10 +24,11 @@ from synth.predictive.horizon import Mpc
 
 HELD = (
     "Where a measurement, a reference or a state is not finite, or overflows, the step returns {N}_BAD_DATA; where the "
-    "optimum was not found within {N}_ITERATIONS exchanges of rows, or did not pass the check, {N}_UNSOLVED. In both "
+    "optimum was not found within {N}_ITERATIONS exchanges of rows, or is not known to 1e-4, {N}_UNSOLVED. In both "
     "cases u is the last command again, within its limits, and counts as commanded. After bad data the forecast starts "
     "anew with the next sample. Momentum that is not finite stays so, and every sample is bad, until it is written or "
-    "the controller is reset. Needs IEEE arithmetic with NaN: no -ffast-math."
+    "the controller is reset. A command that is not known to 1e-8 of its larger limit, but to 1e-4, leaves with "
+    "{N}_ROUGH. Needs IEEE arithmetic with NaN: no -ffast-math."
 )
 PACKAGE = resources.files("synth.delivery") / "mpc"
 PARTS = ("factors.c", "activeset.c", "step.c")
@@ -106,7 +108,7 @@ def header(controller: Mpc, origin: Origin, name: str, self_test: bool) -> str:
     ]  # fmt: skip
     members = "\n".join(f"    {what};{f' /* {why} */' if why else ''}" for what, why in own)
     state = f"""\
-enum {{ {N}_SOLVED, {N}_BAD_DATA, {N}_UNSOLVED }}; /* what the step returns */
+enum {{ {N}_SOLVED, {N}_BAD_DATA, {N}_UNSOLVED, {N}_ROUGH }}; /* what the step returns */
 
 typedef struct {{
 {members}
@@ -122,7 +124,8 @@ int {name}_step({name}_state *state, const double y[{N}_STATES], const double r[
 """
     tested = f"""\
 #ifdef {N}_SELF_TEST
-/* Replays a stored flight of the linear plant: 0 if every command agrees to {AGREES:g} of its larger limit, else the
+/* Replays a stored flight of the linear plant: 0 if every command agrees to {AGREES:g} of its larger limit (and
+ * what its own check leaves open), else the
  * number of the first sample that differs. The last samples are not numbers, and must be refused; the number after
  * them is that of the constants, whose hash differs. */
 int {name}_self_test(void);
@@ -187,15 +190,16 @@ def _self_test(controller: Mpc, name: str, constants: dict[str, np.ndarray]) -> 
     """The stored flight and the function that replays it."""
     N = name.upper()
     y, u = flown(controller)
-    differs = f"!(fabs(u[i] - trace_u[{{}}][i]) <= {AGREES!r} * unit[i])"
+    differs = f"!(fabs(u[i] - trace_u[{{}}][i]) <= ({AGREES!r} + {{}}) * unit[i])"
     body = [
         "static const double strange[3] = { NAN, INFINITY, -INFINITY };",
         f"static {name}_state state;",
         f"double y[{N}_STATES], r[{N}_STATES], u[{N}_OUTPUTS];", "uint32_t hash = 2166136261u;", "",
         f"{name}_reset(&state);", "memset(r, 0, sizeof r);",
         *loop("k", str(SAMPLES), [
-            f"if ({name}_step(&state, trace_y[k], r, u) != {N}_SOLVED) {{", "    return k + 1;", "}",
-            *loop("i", f"{N}_OUTPUTS", [f"if ({differs.format('k')}) {{", "    return k + 1;", "}"]),
+            f"const int status = {name}_step(&state, trace_y[k], r, u);",
+            f"if (status != {N}_SOLVED && status != {N}_ROUGH) {{", "    return k + 1;", "}",
+            *loop("i", f"{N}_OUTPUTS", [f"if ({differs.format('k', 'state.error')}) {{", "    return k + 1;", "}"]),
             f"memcpy(state.inputs[{N}_MEMORY - 1], trace_u[k], sizeof u); /* its plant was driven by that */",
         ]),
         "memcpy(y, trace_y[0], sizeof y);",
@@ -203,7 +207,7 @@ def _self_test(controller: Mpc, name: str, constants: dict[str, np.ndarray]) -> 
             f"y[k % {N}_STATES] = strange[k];",
             f"if ({name}_step(&state, y, r, u) != {N}_BAD_DATA) {{", f"    return {SAMPLES} + k + 1;", "}",
             *loop("i", f"{N}_OUTPUTS", [
-                f"if ({differs.format(SAMPLES - 1)}) {{", f"    return {SAMPLES} + k + 1;", "}",
+                f"if ({differs.format(SAMPLES - 1, 'state.error')}) {{", f"    return {SAMPLES} + k + 1;", "}",
             ]),
         ]),
         *compared(constants, SAMPLES + 4),

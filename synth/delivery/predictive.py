@@ -68,7 +68,7 @@ def files(controller: Any, format: str, name: str, *, self_test: bool, **options
 #define MODEL_INPUTS (2 * {N}_STATES) /* y, then r */
 #define MODEL_STEP(state, y, u) {name}_step(state, y, (y) + {N}_STATES, u)
 #define MODEL_COMMAND(state) (state).inputs[{N}_MEMORY - 1]
-#define MODEL_HELD "there was no command that passed the check, or a number is not finite: the last command is held"
+#define MODEL_HELD "no command passed the check, or a number is not finite: it is rough, or the last one is held"
 """,
     )  # fmt: skip
     return {f"{name}.fmu": fmu_bytes(code, origin, name, version=int(format[-1]))}
@@ -94,10 +94,11 @@ def origin_of(controller: Mpc) -> Origin:
         + ", ".join(f"{-(-value // 1024)} KiB of {key}" for key, value in bytes_of.items()),
         "solver": "dual active-set method of Goldfarb and Idnani, started from the rows active at the last sample; at "
         f"most {size['ITERATIONS']} exchanges of rows a sample, no allocation",
-        "check": "residuals of the optimality conditions: what leaves is within 1e-8 of the optimum, in units of each "
-        "command's larger limit",
+        "check": "residuals of the optimality conditions: what is called solved is within 1e-8 of the optimum, in "
+        "units of each command's larger limit",
         **_stiff(controller),
-        "fallback": "the last command again, within its limits; the status says so",
+        "fallback": "a command that is known to 1e-4 all the same, else the last command again, within its limits; the "
+        "status says so",
         "exported by": f"convex-synth {metadata.version('convex-synth')}",
     }
     return checked(Origin(facts, (*y, *r), u))

@@ -315,7 +315,7 @@ static double error_bound(const mpc_state *s)
     return sum;
 }
 
-/* Whether v is the optimum for f and b: from the last working set, and if that fails from none. */
+/* What is known of v as the optimum for f and b: from the last working set, and if that fails from none. */
 static int solved(mpc_state *s)
 {
     double d[MPC_VARIABLES];
@@ -339,12 +339,15 @@ static int solved(mpc_state *s)
         if (search(s)) {
             s->error = error_bound(s);
             if (s->error <= ACCURACY) {
-                return 1;
+                return MPC_SOLVED;
+            }
+            if (rows == 0 && s->error <= ROUGH) {
+                return MPC_ROUGH;
             }
         }
         s->size = 0;
         if (rows == 0) {
-            return 0;
+            return MPC_UNSOLVED;
         }
         rows = 0;
         s->allowed = MPC_ITERATIONS;

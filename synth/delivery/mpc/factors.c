@@ -15,6 +15,7 @@
 #define DISTINCT 9e-12  /* the same, of a row whose excess is weighed by the check */
 #define ROUNDING 1e-15  /* of a gradient, relative to its terms */
 #define ACCURACY 1e-8   /* bound of the error that passes the check, in units of each command's larger limit */
+#define ROUGH 1e-4      /* of a command that leaves all the same, and is told */
 
 /* d = J'a of a row with the sign of its limit: + for the upper, - for the lower. */
 static void seen(const mpc_state *s, int row, double sign, double d[MPC_VARIABLES])

@@ -45,10 +45,10 @@ int mpc_step(mpc_state *state, const double y[MPC_STATES], const double r[MPC_ST
                 state->b[i] += b_slope[i][j] * phi[j];
             }
         }
-        status = solved(state) ? MPC_SOLVED : MPC_UNSOLVED;
+        status = solved(state);
     }
     for (int i = 0; i < MPC_OUTPUTS; ++i) {
-        u[i] = status == MPC_SOLVED ? unit[i] * state->v[i] : state->inputs[MPC_MEMORY - 1][i];
+        u[i] = status == MPC_SOLVED || status == MPC_ROUGH ? unit[i] * state->v[i] : state->inputs[MPC_MEMORY - 1][i];
         u[i] = u[i] > umax[i] ? umax[i] : u[i] < umin[i] ? umin[i] : u[i];
         acting[i] = MPC_DELAY > 0 ? state->inputs[0][i] : u[i];
         state->momentum[i] -= MPC_SAMPLE_TIME * acting[i];

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from exactmpc import random_program
 from exportedmpc import CompiledMpc, exported, flight, rescaled
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from table3 import FORMS, MODEL, REST, SOFT, TABLE_3, TORQUE
 
@@ -23,7 +23,7 @@ from synth.predictive.prestabilised import LongArithmetic
 from synth.systems.statespace import StateSpace
 
 AGREES = 1e-9  # of the larger limit of each command
-SOLVED, BAD_DATA, UNSOLVED = range(3)
+SOLVED, BAD_DATA, UNSOLVED, ROUGH = range(4)
 TIGHT = {"hmax": 4e-4}  # N m s, active at every slew
 CUBESATS = {
     "position": {"form": "position", **SOFT}, "velocity": {"form": "velocity", **SOFT},
@@ -104,8 +104,10 @@ def replayed(case, folder):
             state, u, off = both(controller, compiled, x, r if k > 20 else 0 * r, state)
         except NumericalError:
             return
-        assert compiled.status == SOLVED or state.fallbacks
-        assert off <= AGREES or compiled.status == UNSOLVED
+        assert compiled.status in (SOLVED, ROUGH) or state.fallbacks
+        assert compiled.status == UNSOLVED or off <= (
+            AGREES if compiled.status == SOLVED else 2 * compiled.memory.error
+        )
         assert compiled.iterations <= sizes(controller)["ITERATIONS"]
         assert (compiled.last >= p.umin).all()
         assert (compiled.last <= p.umax).all()
@@ -116,6 +118,7 @@ def replayed(case, folder):
 
 @settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], derandomize=True)
 @given(case=programs())
+@example(case=(97, -6, 6))  # two limits that are almost the same row: known to 1e-7, and told as rough
 def test_random_plants_in_any_units(case, tmp_path):
     replayed(case, tmp_path)
 
@@ -140,10 +143,10 @@ def test_what_is_called_solved_is_the_optimum_also_where_doubles_end(seed, tmp_p
     compiled = exported(controller, tmp_path, self_test=False)
     compiled.remember(state)
     u, unit, phi = compiled.step(x, r), controller.problem.unit, controller.parameters(state, x, r)
-    if compiled.status == SOLVED:
+    if compiled.status in (SOLVED, ROUGH):
         m = unit.size
         best = LongArithmetic(controller.problem, commands=True)(phi, controller.qp.likely(phi))[:m]
-        np.testing.assert_allclose(u / unit, best, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(u / unit, best, rtol=0, atol=max(1e-8, compiled.memory.error))
     else:
         assert compiled.status == UNSOLVED
         np.testing.assert_allclose(u, state.inputs[-1], rtol=1e-15)
