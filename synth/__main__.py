@@ -19,6 +19,7 @@ exit codes:
   70   a bug of synth: an error that nobody foresaw; --debug shows where it arose
   130  interrupted
 """
+PRECISIONS = ("double", "float32", "q15", "q31")
 BUG = 70  # as sysexits.h has it
 
 
@@ -78,8 +79,8 @@ def make_parser() -> argparse.ArgumentParser:
     info.add_argument("files", nargs="+", metavar="FILE", help="design, controller, plant or certificate (.json, .mat)")
 
     verify = command(
-        "verify", "acceptance gate: hold, delay, saturation, float32 and margins, measured again; or a certificate, "
-        "proved again",
+        "verify", "acceptance gate: hold, delay, rounding (bound proved), saturation and margins, measured again; or a "
+        "certificate, proved again",
     )  # fmt: skip
     verify.add_argument("files", nargs="+", metavar="FILE", help="design, controller with --plant, or certificates")
     verify.add_argument("--key", metavar="PUB", help="whether any files are as they were signed, by this public key")
@@ -94,6 +95,11 @@ def make_parser() -> argparse.ArgumentParser:
         "--as", choices=("controller", "fmu"), default=None,
         help="fmu: judge it as a co-simulation unit, whose commands come one sample later",
     )  # fmt: skip
+    verify.add_argument("--precision", choices=PRECISIONS, help="of the exported numbers (default float32)")
+    verify.add_argument(
+        "--inputs", type=float, nargs="+", metavar="Y",
+        help="|y| at most, for what rounding does (default: what all |w| <= 1 make of it)",
+    )  # fmt: skip
     verify.add_argument("--overload", type=float, default=2.0, help="peak demand over the limits (default 2)")
     for option, unit in (
         ("ratio", "norm over the level (default 1.01)"), ("delay-ratio", "... with one sample of delay"),
@@ -101,6 +107,9 @@ def make_parser() -> argparse.ArgumentParser:
         ("gain-margin-db", "dB, one loop at a time"), ("phase-margin-deg", "degrees, one loop at a time"),
         ("delay-margin-samples", "samples, one loop at a time (default 1; 0 asks nothing)"),
         ("disk-margin", "alpha, all loops at once (default 0.34; 0 asks nothing)"), ("ncf-margin", "0 to 1"),
+        ("rounding-ratio", "proved bound of what rounding does, over the peaks of the commands (default 0.01)"),
+        ("box-margin", "size of an uncertain plant's box up to which the loop is proved stable (default 1)"),
+        ("box-gain-ratio", "norm over the level at every point of the box"),
     ):  # fmt: skip
         verify.add_argument(f"--{option}", type=float, metavar="X", help=f"require: {unit}")
 
@@ -131,9 +140,7 @@ def make_parser() -> argparse.ArgumentParser:
     export.add_argument("--accept", action="store_true", help="put a design through the gate first; the files say so")
     export.add_argument("--dt", type=float, metavar="S", help="with --accept: sampling time of a continuous design")
     export.add_argument("--float", action="store_true", help="single precision, as --precision float32")
-    export.add_argument(
-        "--precision", choices=("double", "float32", "q15", "q31"), help="of C and FMU (default double)"
-    )
+    export.add_argument("--precision", choices=PRECISIONS, help="of C and FMU (default double)")
     export.add_argument(
         "--inputs",
         type=float,

@@ -248,7 +248,7 @@ UNCERTAIN = synth.UncertainSystem([[synth.ureal("J", 1.0, percentage=20)]], -1.0
 RIGHT: dict[str, dict[str, Any]] = {
     "accept": {"design": synth.system(-0.3), "plant": synth.gang_of_four(CONTINUOUS), "level": None, "dt": 0.1,
                "form": "controller", "umin": -1.0, "umax": 1.0, "antiwindup": None, "overload": 2.0,
-               "requirements": None},
+               "requirements": None, "precision": "float32", "inputs": None},
     "augw": {"G": CONTINUOUS, "W1": 1.0, "W2": 0.1, "W3": 0.2},
     "c2d": {"G": CONTINUOUS, "dt": 0.1, "method": "tustin", "prewarp": 1.0, "delay": 0.2, "output_delay": 0.1,
             "tol": 1e-9},

@@ -18,7 +18,18 @@ from synth.proof.certify import BITS, FORMAT, Certificate
 from synth.proof.certify import certify as prove
 from synth.synthesis.design import Design
 
-GATE = ("plant", "negative", "dt", "as", "umin", "umax", "antiwindup", *(f.name for f in fields(Requirements)))
+GATE = (
+    "plant",
+    "negative",
+    "dt",
+    "as",
+    "umin",
+    "umax",
+    "antiwindup",
+    "precision",
+    "inputs",
+    *(f.name for f in fields(Requirements)),
+)
 Load = Callable[[str], Any]  # reads a file that is no certificate
 SUFFIX = ".certificate.json"
 

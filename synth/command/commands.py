@@ -109,7 +109,8 @@ def verify(options: argparse.Namespace) -> int:
             found[file] = accept(
                 source_of(item), plant, level=options.level, dt=options.dt, umin=umin, umax=umax,
                 antiwindup=gain_of(item, options), overload=options.overload, requirements=required,
-                form=getattr(options, "as") or "controller",
+                form=getattr(options, "as") or "controller", precision=options.precision or "float32",
+                inputs=one_or_all(options.inputs),
             )  # fmt: skip
         except SynthError as error:
             error.args = (f"{file}: {error}",)
@@ -179,9 +180,12 @@ def plant_of(item: Any, file: str, negative: bool) -> GeneralizedPlant:
 
 def limits_of(options: argparse.Namespace) -> tuple[Any, Any]:
     """The limits as a number for all commands, or one for each."""
-    given = (options.umin, options.umax)
-    umin, umax = (value[0] if value is not None and len(value) == 1 else value for value in given)
-    return umin, umax
+    return one_or_all(options.umin), one_or_all(options.umax)
+
+
+def one_or_all(values: list[float] | None) -> Any:
+    """A number for all signals, one for each, or nothing."""
+    return values[0] if values is not None and len(values) == 1 else values
 
 
 def source_of(item: Any) -> Any:
@@ -267,17 +271,19 @@ def export(options: argparse.Namespace) -> int:
     if options.accept:
         if not isinstance(item, Design):
             raise ModelError(f"{file}: --accept needs a design, whose plant it knows; see `synth verify` for others")
-        limits = {} if item.shaping else {"umin": umin, "umax": umax}  # u is no signal of a shaped plant
-        found = accept(item, dt=None if item.plant.dt else options.dt, **limits)
+        bounds = {"umin": umin, "umax": umax, "inputs": one_or_all(options.inputs)}
+        bounds = {} if item.shaping else bounds  # y and u are no signals of a shaped plant
+        found = accept(
+            item, dt=None if item.plant.dt else options.dt, precision=options.precision or "float32", **bounds
+        )
     if options.float and options.precision not in (None, "float32"):
         raise ModelError(f"--float and --precision {options.precision} exclude each other; pass one of them")
     precision = "float32" if options.float else options.precision or "double"
-    inputs = options.inputs[0] if options.inputs and len(options.inputs) == 1 else options.inputs
     written = write(
         source_of(item), options.format, options.output, name=options.name,
         force=options.force, allow_unstable=options.allow_unstable, umin=umin, umax=umax,
-        antiwindup=gain_of(item, options), dtype=PRECISIONS.get(precision, precision), inputs=inputs,
-        acceptance=found,
+        antiwindup=gain_of(item, options), dtype=PRECISIONS.get(precision, precision),
+        inputs=one_or_all(options.inputs), acceptance=found,
     )  # fmt: skip
     if options.json:
         gate = {} if found is None else {"acceptance": acceptance_data(found)}

@@ -211,6 +211,7 @@ class Specifications(Record):
     delay_margin_samples: NotNegative | None = None
     disk_margin: NotNegative | None = None
     ncf_margin: NotNegative | None = None
+    rounding_ratio: Positive | None = None
     dt: Positive | None = None
     overload: Annotated[float, Field(gt=1)] | None = None
     umin: Limits | None = None

@@ -16,7 +16,7 @@ from synth.equations.are import dare
 from synth.errors import ModelError, NumericalError
 from synth.proof.matrices import exact
 from synth.proof.peakgain import is_proved_stable
-from synth.proof.rounding import FLOATING, Bound, Law, bounded
+from synth.proof.rounding import FLOATING, Bound, Fixed, Floating, Law, bounded, reached
 from synth.regulators.fixed import FORMATS, FixedController
 from synth.regulators.sequential import SequentialController, controller_of
 from synth.synthesis.design import Design
@@ -27,6 +27,8 @@ from synth.threads import one_thread
 PRECISIONS = {"double": "double", "float32": "float"}  # what is asked for -> C's name of the type
 HELD = "inputs beyond are held there"
 SMALL = 1e-12  # part of the excitation given to states that no input moves, when an observer is looked for
+ROOM = 1e-3  # of the signals' peaks, that is left to what rounding adds
+TRIES = 5  # at making this room larger
 UNASKED = 20  # states, up to which a bound is proved though none was asked for
 DIGITS = 3  # of a bound in words, rounded up
 
@@ -40,7 +42,7 @@ class Rounding(Bound):
     assumptions: tuple[str, ...]
 
     def __str__(self) -> str:
-        bound, where = _listed(self.command), "" if self.output is None else " in the loop"
+        bound, where = listed(self.command), "" if self.output is None else " in the loop"
         return (
             f"{self.precision} against exact arithmetic{where}: |u - exact u| <= {bound}; {'; '.join(self.assumptions)}"
         )
@@ -71,7 +73,8 @@ def rounding(
     plant : from u to y, u = K y (positive feedback), a state-space system or GeneralizedPlant: then both controllers
         are compared in the loop that each closes with it, under the same references and disturbances; None for the
         controller alone, which then must be stable, under the same inputs
-    commands : number or (m,) bound of |u_i|; None for the larger limit. Only a controller that is not stable needs it
+    commands : number or (m,) bound of |u_i|; None for the larger limit. Only a controller that is not stable needs it;
+        in a loop the bound of one with slow states becomes smaller by it
     umin, umax, antiwindup : as `export` takes them
 
     Returns
@@ -89,23 +92,31 @@ def rounding(
     """
     as_choice("precision", precision, (*PRECISIONS, *FORMATS))
     K = controller_of(controller)
+    G = None if plant is None else _plant(plant, K)
     if precision in FORMATS:
-        if not (plant is None and commands is None and antiwindup is None):
-            raise ModelError("plant, commands or antiwindup is given; fixed point is bounded by itself: leave it away")
+        if not (commands is None and antiwindup is None):
+            raise ModelError("commands or antiwindup is given; fixed point is of stable controllers: leave it away")
         Y = bounds("inputs", inputs, K.nu)
-        return of_fixed(FixedController.of(controller, precision, Y, umin=umin, umax=umax), Y)
+        return of_fixed(FixedController.of(controller, precision, Y, umin=umin, umax=umax), Y, K, G)
     limits = {"umin": umin, "umax": umax, "antiwindup": antiwindup}
     exported = SequentialController.of(controller, dtype=PRECISIONS[precision], allow_unstable=True, **limits)
-    return _proved(exported, K, bounds("inputs", inputs, K.nu), commands, None if plant is None else _plant(plant, K))
+    return _proved(exported, K, bounds("inputs", inputs, K.nu), commands, G)
 
 
-def of_fixed(controller: FixedController, inputs: np.ndarray) -> Rounding:
-    """The bound that came with the scaling of a controller in fixed point."""
-    v = controller.bound.commands + controller.bound.command
+def of_fixed(
+    controller: FixedController, inputs: np.ndarray, K: StateSpace | None = None, plant: Law | None = None
+) -> Rounding:
+    """The bound that came with the scaling of a controller in fixed point; with its K and a plant that in the loop."""
+    found = controller.bound
+    if K is not None and plant is not None:
+        steps = np.ldexp(1.0, -np.concatenate([controller.states, controller.commands]))
+        arithmetic = Fixed(steps, np.ldexp(1.0, -controller.read))
+        found = bounded(Law(*controller.system.matrices), Law(*K.matrices), arithmetic, inputs, plant=plant)
+    v = found.commands + found.command
     limits = np.ldexp(np.minimum(-controller.umin, controller.umax).astype(float), -controller.commands)
     within = "from reset until a command reaches its limit" if (v >= limits).any() else "from reset, over any time"
-    assumed = (f"|y| <= {_listed(inputs)}, {HELD}", within)
-    return Rounding(**vars(controller.bound), precision=controller.format, inputs=inputs, assumptions=assumed)
+    assumed = (f"|y| <= {listed(inputs)}, {HELD}", within)
+    return Rounding(**vars(found), precision=controller.format, inputs=inputs, assumptions=assumed)
 
 
 def told(source: Any, exported: SequentialController, inputs: Any) -> str:
@@ -132,27 +143,85 @@ def told(source: Any, exported: SequentialController, inputs: Any) -> str:
         return f"not bounded: {error}"
 
 
+def in_loop(
+    P: GeneralizedPlant, K: StateSpace, precision: str, inputs: Any = None, commands: Any = None
+) -> tuple[Rounding, np.ndarray]:
+    """The bound in the loop that K closes with a generalised plant, and the peaks (m,) of the commands beside it.
+
+    Parameters
+    ----------
+    inputs : (p,) bound of |y|, and the peaks are those of such inputs; None for all |w| <= 1 from rest: y and u are
+        then bounded by their peaks in the exact loop and by what rounding, so bounded, adds, by induction
+    commands : (m,) bound of |u| beside `inputs`, for a controller that is not stable
+
+    Raises
+    ------
+    ModelError, ExportError, NumericalError : as `rounding`.
+    """
+    if inputs is not None:
+        commands = None if precision in FORMATS else commands
+        found = rounding(K, inputs=inputs, precision=precision, plant=P, commands=commands)
+        return found, found.commands
+    Y, U = loop_peaks(P, K)
+    room_y, room_u = Y * ROOM, U * ROOM
+    for _ in range(TRIES):
+        commands = None if precision in FORMATS else U + room_u
+        found = rounding(K, inputs=Y + room_y, precision=precision, plant=P, commands=commands)
+        assert found.output is not None
+        if (found.output <= room_y).all() and (found.command <= room_u).all():
+            return found, U
+        room_y, room_u = np.maximum(room_y, 2 * found.output), np.maximum(room_u, 2 * found.command)
+    raise NumericalError("rounding errors grow with the signals that they make: no bound")
+
+
+def loop_peaks(P: GeneralizedPlant, K: StateSpace) -> tuple[np.ndarray, np.ndarray]:
+    """Proved bounds of |y| (p,) and |u| (m,) in the loop while |w| <= 1; of a signal that w does not move, any bound.
+
+    Raises
+    ------
+    NumericalError : the loop is not proved stable.
+    """
+    found = reached(Law(*K.matrices), _plant(P, K), P.B1, P.D21)
+    Y, U = (np.where(size > 0, size, size.max(initial=0.0) or 1.0) for size in found)
+    return Y, U
+
+
 def _proved(exported: SequentialController, K: StateSpace, Y: np.ndarray, commands: Any, plant: Law | None) -> Rounding:
     """The bound, and what it was proved for."""
     new, old = Law(*exported.system.matrices), Law(*K.matrices)
     precision = next(key for key, name in PRECISIONS.items() if name == exported.dtype)
-    assumed = [f"|y| <= {_listed(Y)}"]
-    U = L = None
-    if not (is_proved_stable(exact(new.A)) and is_proved_stable(exact(old.A))):
-        if plant is None:
-            raise ModelError(
-                "the controller is not proved stable by itself: errors of its states grow unless a loop holds them; "
-                "pass plant, from u to y"
-            )
+    assumed, numbers = [f"|y| <= {listed(Y)}"], FLOATING[precision]
+    stable = is_proved_stable(exact(new.A)) and is_proved_stable(exact(old.A))
+    if not stable and plant is None:
+        raise ModelError(
+            "the controller is not proved stable by itself: errors of its states grow unless a loop holds them; "
+            "pass plant, from u to y"
+        )
+    found = bounded(new, old, numbers, Y, plant=plant) if stable else None
+    if found is None or (K.n and commands is not None and plant is not None):
         U = _commands(commands, exported)
-        L = _observer(old, Y, U)
-        assumed.append(f"|u| <= {_listed(U)}")
-    found = bounded(new, old, FLOATING[precision], Y, commands=U, observer=L, plant=plant)
+        seen = _observed(new, old, numbers, Y, U, plant, needed=found is None)
+        if seen is not None and (found is None or (seen.command / U).sum() < (found.command / U).sum()):
+            found = seen
+            assumed.append(f"|u| <= {listed(U)}")
+    assert found is not None
     limits = np.minimum(-exported.umin.astype(float), exported.umax.astype(float))
-    reached = (found.commands + found.command >= limits).any()
+    beyond = (found.commands + found.command >= limits).any()
     within = "; no command reaches its limit" if exported.limited else ""
-    assumed.append("from reset until a command reaches its limit" if reached else f"from reset, over any time{within}")
+    assumed.append("from reset until a command reaches its limit" if beyond else f"from reset, over any time{within}")
     return Rounding(**vars(found), precision=precision, inputs=Y, assumptions=tuple(assumed))
+
+
+def _observed(
+    new: Law, old: Law, numbers: Floating, Y: np.ndarray, U: np.ndarray, plant: Law | None, *, needed: bool
+) -> Bound | None:
+    """The bound whose sizes come from an observer of the states, which u shows; None where none was found or needed."""
+    try:
+        return bounded(new, old, numbers, Y, commands=U, observer=_observer(old, Y, U), plant=plant)
+    except (ModelError, NumericalError):
+        if needed:
+            raise
+        return None
 
 
 def bounds(name: str, value: Any, size: int) -> np.ndarray:
@@ -180,6 +249,7 @@ def _observer(law: Law, Y: np.ndarray, U: np.ndarray) -> np.ndarray:
     """The gain of a Kalman filter that sees u, when y is noise of the size Y and u has noise of the size U."""
     Q = (law.B * Y) @ (law.B * Y).T
     Q += np.eye(len(Q)) * max(float(np.trace(Q)), 1.0) * SMALL
+    U = np.where(U > 0, U, max(float(U.max()), SMALL))
     X, ok = dare(law.A.T, law.C.T, Q, np.diag(U**2))
     if not ok:
         raise ModelError("the controller has a state that is not stable and that u does not show; remove it")
@@ -200,7 +270,7 @@ def _plant(plant: Any, K: StateSpace) -> Law:
     return Law(*G.matrices)
 
 
-def _listed(values: np.ndarray) -> str:
+def listed(values: np.ndarray) -> str:
     """Bounds in words, rounded up: one number where all are the same."""
     texts = [_up(float(value)) for value in values]
     return texts[0] if len(set(texts)) == 1 else f"({', '.join(texts)})"

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from synth.analysis.norms import spectral_radius
+from synth.regulators.fixed import FixedController
 from synth.regulators.sequential import SequentialController
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace
@@ -30,11 +31,20 @@ class Response:
 
     def returned(self, peaks: np.ndarray) -> bool:
         """Whether the last twentieth stays below 1 % of the peaks of the linear loop."""
+        return self.left(peaks) <= RETURNED
+
+    def left(self, peaks: np.ndarray) -> float:
+        """The largest part of the linear loop's peaks in the last twentieth; inf where a signal ran away."""
         tail = max(len(self.y) // TIME_CONSTANTS, 1)
-        return bool((Response(self.y[-tail:], self.v[-tail:]).peaks() <= RETURNED * peaks).all())
+        found = Response(self.y[-tail:], self.v[-tail:]).peaks()
+        if not np.isfinite(found).all():
+            return np.inf
+        return float((found[found > 0] / np.where(peaks > 0, peaks, np.nextafter(0, 1))[found > 0]).max(initial=0.0))
 
 
-def simulate(G: StateSpace, controller: SequentialController, start: np.ndarray, samples: int) -> Response:
+def simulate(
+    G: StateSpace, controller: SequentialController | FixedController, start: np.ndarray, samples: int
+) -> Response:
     """The loop of a plant (float64, without direct term) and a controller stepped as the exported C steps it."""
     x, state = start, controller.init()
     y, v = np.empty((samples, G.ny)), np.empty((samples, G.nu))

@@ -188,6 +188,30 @@ def bounded(
         )  # fmt: skip
 
 
+def reached(law: Law, plant: Law, B1: np.ndarray, D21: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of |y| (p,) and |u| (m,) in the exact loop u = K y, from rest, while |w| <= 1.
+
+    Parameters
+    ----------
+    B1, D21 : (k, nw), (p, nw) how w acts on the plant's states and on y
+
+    Raises
+    ------
+    NumericalError : the loop is not proved stable.
+    """
+    with ctx.workprec(BITS):
+        (A, B, C, D), (Ap, Bp, Cp, Dp) = ([exact(M) for M in matrices] for matrices in (law, plant))
+        n, k, (p, nw), E = len(law.A), len(plant.A), D21.shape, identity(len(law.D)) - D * Dp
+        # in xp, x and w
+        u = [E.solve(M) for M in (D * Cp, C, D * exact(D21))]
+        y = [M + Dp * v for M, v in zip((Cp, _zeros(p, n), exact(D21)), u, strict=True)]
+        after = [M + Bp * v for M, v in zip((Ap, _zeros(k, n), exact(B1)), u, strict=True)]
+        x = [M + B * v for M, v in zip((_zeros(n, k), A, _zeros(n, nw)), y, strict=True)]
+        loop = Balls(block([after[:2], x[:2]]), block([after[2:], x[2:]]), block([y[:2], u[:2]]), block([y[2:], u[2:]]))
+        peaks = peak_gains(loop).sum(axis=1) * UP
+    return peaks[:p], peaks[p:]
+
+
 class Sizes(NamedTuple):
     """Peaks without the errors, and what errors add to them."""
 

@@ -26,6 +26,7 @@ from synth.errors import ExportError, ModelError, NumericalError
 from synth.proof.rounding import Bound, Fixed, Law, bounded
 from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.sequential import State, controller_of
+from synth.systems.statespace import StateSpace
 
 FORMATS = {f"q{bits}": bits for bits in (15, 31)}  # bits without the sign
 COEFFICIENTS = 2**31 - 1  # that a row's may add up to
@@ -55,6 +56,11 @@ class FixedController:
     format: str  # "q15" or "q31"
     dt: float  # s
     bound: Bound  # proved
+
+    @property
+    def system(self) -> StateSpace:
+        """The controller with the matrices that its whole coefficients stand for, exactly, and without limits."""
+        return StateSpace(*law_of(self.rows, self.shifts, np.append(self.states, self.commands), self.read), self.dt)
 
     def init(self) -> State:
         """Zero states, and zero commands as far as the limits allow."""
