@@ -16,6 +16,8 @@ a bare controller, the norm is reported and "not judged", and the gate rests on 
                           the loop while |w| <= 1, over the peaks that the commands have then
     saturation            simulated from displaced plant states, scaled so that the linear loop asks `overload` times
                           the limits at its peak; measurements and commands must come back below 1 % of their peaks
+    ... over the box      of an uncertain plant: stability, gain, and the margins required, proved at every point of the
+                          box of its parameters (see `synth.delivery.boxconditions`)
 
 Saturation is judged by these simulations alone: they refute a controller, and prove nothing about other starts.
 
@@ -34,9 +36,11 @@ from typing import Any
 
 import numpy as np
 
+from synth.analysis.coprime import gang_of_four
 from synth.analysis.sampleddata import intersample
 from synth.analysis.stabilitymargins import Margins, margins
 from synth.checks import as_choice, as_limits, as_number, check_period, shown, timebase_told
+from synth.delivery.boxconditions import over_box
 from synth.delivery.conditions import NO_LEVEL, Condition, Requirements, between, margins_kept, measured
 from synth.delivery.processor import PRECISIONS, in_numbers, inner, saturation
 from synth.delivery.rounding import bounds
@@ -50,6 +54,7 @@ from synth.systems.generalized import GeneralizedPlant
 from synth.systems.sampled import c2d
 from synth.systems.statespace import StateSpace, as_system, common_timebase
 from synth.systems.timebase import retimed
+from synth.systems.uncertain import UncertainSystem
 from synth.threads import one_thread
 
 HELD = "part of the discrete plant as it was modelled: nothing to measure"
@@ -123,7 +128,8 @@ def accept(
         an `AntiWindup` with the limits and the gain that it has
     plant : GeneralizedPlant to measure it on, for a discrete controller also the continuous one; None for the design's
         own. On a loop-shaping design's own plant W2 G W1 it is Ks that is measured, since the file does not hold G;
-        with a plant it is W1 Ks W2
+        with a plant it is W1 Ks W2. Or an UncertainSystem from (w, u) to (z, y) or from u to y, whose box adds lines;
+        the others are at its nominal parameters: from u to y on the design's own plant, or gang_of_four(G) without one
     level : the norm that was promised on this plant; None for gamma of a design on its own plant, and for none
         otherwise: then no line that compares with it is judged
     dt : sampling time in s of a continuous design, which is needed: conditions of a processor are those of samples
@@ -163,7 +169,7 @@ def accept(
             "umin and umax limit the command u, but the file of a loop-shaping design holds the shaped plant W2 G W1 "
             "only; pass the plant (gang_of_four(G)) as well"
         )
-    at_all_times = isinstance(design, Design) and plant is None and design.info.method == SAMPLED
+    at_all_times = isinstance(design, Design) and P is design.plant and design.info.method == SAMPLED
     first = measured("designed", P, K, level, None if at_all_times else requirements.ratio)
     lines, continuous = [first], P.dt == 0
     if P.dt == 0:
@@ -174,7 +180,7 @@ def accept(
     else:
         if dt is not None and not np.isclose(dt, P.dt):
             raise ModelError(f"dt = {shown(dt)} is given, but the design has {timebase_told(P.dt)}; leave dt away")
-        lines.append(Condition("zero-order hold", first.passed is not False, note=HELD, required=False))
+        lines.append(Condition("zero-order hold", True, note=HELD, required=False))
     if at_all_times:  # whose level is not that of the samples
         lines[0] = replace(first, passed=first.norm is not None, ratio=None, note=first.note or SAMPLES, required=False)
     norm = intersample(P, K, P.dt if form == "fmu" else 0.0)
@@ -197,19 +203,27 @@ def accept(
             found = margins(inner(P), K, sign=1)
         except SynthError as error:
             reason = str(error)
-    digest = controller_of(design).digest()
-    return Acceptance((*lines, *margins_kept(found, requirements, reason)), found, level, P.dt, digest)
+    lines += margins_kept(found, requirements, reason)
+    if isinstance(plant, UncertainSystem):
+        lines += over_box(plant, delayed(K) if form == "fmu" else K, level, requirements)
+    return Acceptance(tuple(lines), found, level, P.dt, controller_of(design).digest())
 
 
 def _loop(design: Any, plant: Any) -> tuple[GeneralizedPlant, StateSpace, float | None]:
     """The plant, the controller that closes it, and the level it was designed for (on its own plant)."""
     if isinstance(design, Design) and plant is None:
         return design.plant, design.closing, design.gamma
+    K = controller_of(design) if isinstance(design, Design | AntiWindup) else as_system(
+        "the controller", design, getattr(plant, "dt", 0)
+    )  # fmt: skip
+    if isinstance(plant, UncertainSystem):
+        if isinstance(design, Design) and not design.shaping and (plant.nu, plant.ny) == (K.ny, K.nu):
+            return design.plant, K, design.gamma
+        plant = _nominal(plant, K)
     if not isinstance(plant, GeneralizedPlant):
         raise ModelError(
             "the controller comes without a plant; pass a GeneralizedPlant (gang_of_four(G) for a plain G)"
         )
-    K = design.controller if isinstance(design, Design) else as_system("the controller", design, plant.dt)
     if plant.dt == 0 and K.discrete and K.dt is not True:
         plant = c2d(plant, K.dt)
     dt = common_timebase(plant.system, K)
@@ -217,8 +231,15 @@ def _loop(design: Any, plant: Any) -> tuple[GeneralizedPlant, StateSpace, float 
     _, _, m, _, p = plant.sizes
     if (K.ny, K.nu) != (m, p):
         raise ModelError(f"the controller is {K.ny} x {K.nu}; the plant needs {m} x {p} (controls x measurements)")
-    own = isinstance(design, Design) and not design.shaping and plant.system.digest() == design.plant.system.digest()
-    return plant, K, design.gamma if own else None
+    if isinstance(design, Design) and not design.shaping and plant.system.digest() == design.plant.system.digest():
+        return plant, K, design.gamma
+    return plant, K, None
+
+
+def _nominal(plant: UncertainSystem, K: StateSpace) -> GeneralizedPlant:
+    """The plant at its nominal parameters, the four-block problem of one from u to y."""
+    G = plant.nominal
+    return gang_of_four(G) if (G.nu, G.ny) == (K.ny, K.nu) else GeneralizedPlant.partition(G, K.nu, K.ny)
 
 
 def _largest(umin: Any, umax: Any, size: int) -> np.ndarray | None:

@@ -124,7 +124,7 @@ def margins_kept(found: Margins | None, required: Requirements, reason: str) -> 
     }  # fmt: skip
     for name, (value, least, unit, meaning) in values.items():
         if value is None:
-            yield Condition(name, False, note=f"not measured: {reason}")
+            yield Condition(name, False if least else None, note=f"not measured: {reason}", required=bool(least))
             continue
         text = f"{value:.4g} {unit}".strip() + f" ({meaning})" + (f"; required {least:g}" if least else "")
         yield Condition(name, not least or value >= least, note=text, required=bool(least))

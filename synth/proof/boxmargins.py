@@ -121,7 +121,7 @@ def diskmargin(L: Any, sign: int = -1, *, skew: float = 0.0) -> DiskMargin:
         return diskmargins.diskmargin(L, sign, skew=skew)
     if not L.parameters:
         raise ModelError("L has no uncertain parameters; pass L.nominal")
-    G, skew = _negative(L, sign), as_number("skew", skew, "a number, 0 for gains up and down alike")
+    G, skew = negative(L, sign), as_number("skew", skew, "a number, 0 for gains up and down alike")
     if G.ny != G.nu:
         raise ModelError(f"L is {G.ny} x {G.nu}; a loop has as many outputs as inputs")
     T = G.feedback(1)
@@ -199,14 +199,14 @@ def margin(L: Any, sign: int = -1, *, delay: float = 0.0) -> Margin:
         )
     if not L.parameters:
         raise ModelError("L has no uncertain parameters; pass L.nominal")
-    G = _negative(L, sign)
+    G = negative(L, sign)
     if (G.ny, G.nu) != (1, 1):
         raise ModelError(f"L is {G.ny} x {G.nu}; gain and phase margins are of one signal: see `margins`, `diskmargin`")
     if not _is_stable(G):
         nothing = stabilitymargins.margin(G.nominal)
         return BoxMargin(*(getattr(nothing, name) for name in Margin.__dataclass_fields__), worst={})
-    up, down, phase = _gain(G, GAIN_UP), _gain(G, GAIN_DOWN), _phase(G)
-    late = _delay(G, [up, down, phase])
+    up, down, phase = worst_gain_margin(G, GAIN_UP), worst_gain_margin(G, GAIN_DOWN), worst_phase(G)
+    late = worst_delay(G, [up, down, phase])
     nearer = min((up, down), key=lambda r: abs(np.log(r.lower if r is up else r.upper)))
     worst = {"gain_up": up, "gain_down": down, "phase": phase, "delay": late}
     return BoxMargin(
@@ -214,7 +214,7 @@ def margin(L: Any, sign: int = -1, *, delay: float = 0.0) -> Margin:
     )
 
 
-def _gain(G: UncertainSystem, quantity: str) -> WorstCase:
+def worst_gain_margin(G: UncertainSystem, quantity: str) -> WorstCase:
     """Gains from one on, up or down."""
     k = _parameter(G, "gain" if quantity == GAIN_UP else "1/gain", 1.0, (1.0, 2.0))
     one = eye(1)
@@ -226,7 +226,7 @@ def _gain(G: UncertainSystem, quantity: str) -> WorstCase:
     return replace(found, quantity=quantity, lower=1 / reached, upper=(1 + ROUNDED) / proved)
 
 
-def _phase(G: UncertainSystem) -> WorstCase:
+def worst_phase(G: UncertainSystem) -> WorstCase:
     """Phases either way, rad."""
     t = _parameter(G, "tan(phase/2)", 0.0, (0.0, 1.0))
     turn = zeros(2, 2)
@@ -263,7 +263,7 @@ def _grown(cut: UncertainSystem, one: dict[str, Parameter]) -> tuple[WorstCase, 
     return replace(found, parameters={n: x for n, x in found.parameters.items() if n != name}), proved, reached
 
 
-def _delay(G: UncertainSystem, others: Sequence[WorstCase]) -> WorstCase:
+def worst_delay(G: UncertainSystem, others: Sequence[WorstCase]) -> WorstCase:
     """Delays from nothing on, s: a bound from below, and the shortest margin that was found."""
     point, reached, frequency = _shortest(G, [r.parameters for r in others if r.parameters])
     best = _samples_late(G) if G.discrete else _small_gain(G, reached)
@@ -351,20 +351,23 @@ def margins(P: Any, K: Any, sign: int = -1) -> Margins:
     K = as_uncertain("K", K, P.dt)
     if (K.ny, K.nu) != (P.nu, P.ny):
         raise ModelError(f"K is {K.ny} x {K.nu}; P, which is {P.ny} x {P.nu}, needs {P.nu} x {P.ny}")
-    n, m, p = P.n, P.nu, P.ny
-    own, late = _negative(series(P, K), sign), _negative(series(K, P), sign)
-    I, O = eye, zeros
-    seen = UncertainSystem(  # from disturbances of y and u to y and u, then from u to y
+    ncf = worst_ncf(P, K, sign)
+    loops = Loops(negative(series(P, K), sign), negative(series(K, P), sign), _both(P, K, sign))
+    return BoxMargins(
+        input=tuple(margin(one_loop(loops.input, i)) for i in range(P.nu)),
+        output=tuple(margin(one_loop(loops.output, i)) for i in range(P.ny)), disk_input=diskmargin(loops.input),
+        disk_output=diskmargin(loops.output), ncf=ncf.lower, dt=P.dt, loops=loops, worst_ncf=ncf,
+    )  # fmt: skip
+
+
+def worst_ncf(P: UncertainSystem, K: UncertainSystem, sign: int) -> WorstCase:
+    """The largest gain from disturbances of y and u to y and u, inverted."""
+    n, m, p, I, O = P.n, P.nu, P.ny, eye, zeros
+    seen = UncertainSystem(  # these, and then from u to y
         P.E, P.A, np.hstack([O(n, p), P.B, P.B]), np.vstack([P.C, O(m, n), P.C]),
         np.block([[I(p), P.D, P.D], [O(m, p), O(m, m), I(m)], [I(p), P.D, P.D]]), P.dt,
     )  # fmt: skip
-    ncf = inverted(worst_gain(seen.lft(_negative(K, -sign))), NCF)
-    loops = Loops(own, late, _both(P, K, sign))
-    return BoxMargins(
-        input=tuple(margin(one_loop(own, i)) for i in range(m)),
-        output=tuple(margin(one_loop(late, i)) for i in range(p)),
-        disk_input=diskmargin(own), disk_output=diskmargin(late), ncf=ncf.lower, dt=P.dt, loops=loops, worst_ncf=ncf,
-    )  # fmt: skip
+    return inverted(worst_gain(seen.lft(negative(K, -sign))), NCF)
 
 
 def _both(P: UncertainSystem, K: UncertainSystem, sign: int) -> UncertainSystem:
@@ -388,11 +391,10 @@ def one_loop(L: UncertainSystem, i: int) -> UncertainSystem:
 
 def _is_stable(G: UncertainSystem) -> bool:
     """Whether the loop is at the nominal parameters, exactly."""
-    T = G.feedback(1)
-    pencil = Pencil.of(T, tuple(T.parameters.values()))
+    pencil = Pencil.of(T := G.feedback(1), tuple(T.parameters.values()))
     return pencil.is_stable_at(pencil.nominal)
 
 
-def _negative(L: UncertainSystem, sign: int) -> UncertainSystem:
+def negative(L: UncertainSystem, sign: int) -> UncertainSystem:
     """The loop for negative feedback."""
     return L if as_sign(sign) == -1 else UncertainSystem(L.E, L.A, L.B, -L.C, -L.D, L.dt, L.u, L.y)
