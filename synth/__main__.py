@@ -84,7 +84,10 @@ def make_parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     verify.add_argument("files", nargs="+", metavar="FILE", help="design, controller with --plant, or certificates")
     verify.add_argument("--key", metavar="PUB", help="whether any files are as they were signed, by this public key")
-    verify.add_argument("--design", metavar="FILE", help="with a certificate: whether it is of this design")
+    verify.add_argument(
+        "--design", metavar="FILE",
+        help="with a certificate: whether it is of this design, or the one that an exported file (.h, .fmu) names",
+    )  # fmt: skip
     verify.add_argument("--plant", metavar="FILE", help="generalised plant, or plain plant (its four-block norm)")
     verify.add_argument("--negative", action="store_true", help="with a plain --plant: the controller acts on r - y")
     verify.add_argument("--level", type=float, metavar="X", help="norm promised; a design on its own plant knows it")
@@ -138,6 +141,7 @@ def make_parser() -> argparse.ArgumentParser:
     export.add_argument("--force", action="store_true", help="replace files that exist")
     export.add_argument("--allow-unstable", action="store_true", help="export a controller with unstable poles")
     export.add_argument("--accept", action="store_true", help="put a design through the gate first; the files say so")
+    export.add_argument("--certificate", metavar="FILE", help="of the design: proved again, and named by its sha256")
     export.add_argument("--dt", type=float, metavar="S", help="with --accept: sampling time of a continuous design")
     export.add_argument("--float", action="store_true", help="single precision, as --precision float32")
     export.add_argument("--precision", choices=PRECISIONS, help="of C and FMU (default double)")

@@ -123,6 +123,7 @@ class Design(Record):
     plant_sha256: str
     info: Info
     shaping: Shaping | None = None
+    certificate: str = ""
 
 
 class SealedDesign(Design):

@@ -263,7 +263,7 @@ RIGHT: dict[str, dict[str, Any]] = {
     "dlqr": {"A": 0.5 * I, "B": I, "Q": I, "R": 1.0, "N": None, "E": None},
     "export": {"design": SAMPLED, "format": "json", "folder": "out", "name": "name", "force": True,
                "allow_unstable": False, "umin": None, "umax": None, "antiwindup": None, "dtype": "double",
-               "inputs": None, "self_test": True, "acceptance": None},
+               "inputs": None, "self_test": True, "acceptance": None, "certificate": None},
     "feedback": {"G": CONTINUOUS, "K": 0.3, "sign": -1},
     "free_motion": {"G": CONTINUOUS, "x0": [1.0, 0.0], "dt": 0.1, "samples": 3, "held": None},
     "fuel_mpc": {"model": synth.c2d(STRICT, DT), "box": 1.0, "umax": 1.0, "horizon": 3, "settle": 0, "forecast": None,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import io
 import re
+import zipfile
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
@@ -11,7 +13,10 @@ from typing import Any
 
 from synth.delivery.acceptance import Requirements
 from synth.delivery.files import check_target
-from synth.errors import ModelError, SynthError
+from synth.delivery.matfiles import read_mat
+from synth.delivery.modelfiles import JSON, WRITTEN
+from synth.errors import ModelError, SynthError, VerificationError
+from synth.files import read_bytes
 from synth.proof import boxcertificate
 from synth.proof.boxcertificate import BoxCertificate
 from synth.proof.certify import BITS, FORMAT, Certificate
@@ -32,6 +37,8 @@ GATE = (
 )
 Load = Callable[[str], Any]  # reads a file that is no certificate
 SUFFIX = ".certificate.json"
+EXPORTED, DESCRIPTION = (".h", ".fmu"), "modelDescription.xml"
+NAMED = re.compile(r"certificate\W+(?:value=\W+)?sha256 ([0-9a-f]{64})")
 
 
 def certify(options: argparse.Namespace, load: Load) -> tuple[dict[str, Any], str]:
@@ -54,22 +61,42 @@ def verify(options: argparse.Namespace, load: Load) -> tuple[list[dict[str, Any]
         raise ModelError(f"{listed} means nothing for a certificate; verify controllers on their own")
     if others := [file for file in options.files if not is_certificate(file)]:
         raise ModelError(f"{others[0]}: this is no certificate; verify controllers on their own")
-    design = None if options.design is None else of_design(options.design, load)
+    of = options.design
+    design = None if of is None or Path(of).suffix in EXPORTED else of_design(of, load)
+    named = "" if of is None else named_in(of)
+    if of is not None and design is None and not named:
+        raise ModelError(f"{of}: this file names no certificate; pass one that `synth export --certificate` wrote")
     found = {file: read(file) for file in options.files}
     for file, certificate in found.items():
         try:
-            if isinstance(certificate, BoxCertificate) and design is not None:
+            if isinstance(certificate, BoxCertificate) and of is not None:
                 raise ModelError("--design means nothing for a certificate of a box, which holds its own closed loop")
             if isinstance(certificate, BoxCertificate) or design is None:
                 certificate.check()
             else:
                 certificate.check(design.plant, design.closing)
+            if named and isinstance(certificate, Certificate) and certificate.sha256 != named:
+                raise VerificationError(f"the certificate is another than the one that {of} names: the sha256 differs")
         except SynthError as error:
             error.args = (f"{file}: {error}",)
             raise
-    ending = "proved again" + (f", of {options.design}" if design else "")
-    data = [{"file": file, "proved": True, "design": options.design, **facts(c)} for file, c in found.items()]
+    ending = "proved again" + (f", of {of}" if design else "") + (f", and named in {of}" if named else "")
+    data = [{"file": file, "proved": True, "design": of, "named": bool(named), **facts(c)} for file, c in found.items()]
     return data, "\n\n".join(f"{file}\n{text(c)}\n{ending}" for file, c in found.items())
+
+
+def named_in(file: str) -> str:
+    """The sha256 of the certificate that a design or an exported file names, empty if it names none."""
+    path = Path(file)
+    if path.suffix == ".mat":
+        texts = [str(text) for name, text in read_mat(path, WRITTEN).items() if name.endswith(f".{JSON}")]
+    elif path.suffix == ".fmu":
+        with zipfile.ZipFile(io.BytesIO(read_bytes(path))) as unit:
+            texts = [unit.read(DESCRIPTION).decode(errors="replace")]
+    else:
+        texts = [read_bytes(path).decode(errors="replace")]
+    found = NAMED.search(re.sub(r"[\s*]+", " ", " ".join(texts)))
+    return found[1] if found else ""
 
 
 def begins(file: str) -> str:

@@ -256,6 +256,7 @@ def acceptance_text(found: Any) -> str:
 
 def export(options: argparse.Namespace) -> int:
     """`synth export`."""
+    from synth.command.certificates import read
     from synth.delivery.acceptance import accept
     from synth.delivery.files import made
     from synth.delivery.formats import export as write
@@ -265,6 +266,7 @@ def export(options: argparse.Namespace) -> int:
     item = predictive(file) or load(file)
     if isinstance(item, GeneralizedPlant):
         raise ModelError(f"{file}: this is a plant; pass a design or a controller")
+    certificate: Any = None if options.certificate is None else read(options.certificate)
     made(Path(options.output))
     umin, umax = limits_of(options)
     found = None
@@ -283,7 +285,7 @@ def export(options: argparse.Namespace) -> int:
         source_of(item), options.format, options.output, name=options.name,
         force=options.force, allow_unstable=options.allow_unstable, umin=umin, umax=umax,
         antiwindup=gain_of(item, options), dtype=PRECISIONS.get(precision, precision),
-        inputs=one_or_all(options.inputs), acceptance=found,
+        inputs=one_or_all(options.inputs), acceptance=found, certificate=certificate,
     )  # fmt: skip
     if options.json:
         gate = {} if found is None else {"acceptance": acceptance_data(found)}

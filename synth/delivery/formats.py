@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from synth.delivery.acceptance import Acceptance
+    from synth.proof.certify import Certificate
     from synth.regulators.antiwindup import AntiWindup
 
 NEVER = "none: this controller was never put through accept"
@@ -35,6 +36,7 @@ def export(
     inputs: Any = None,
     self_test: bool = True,
     acceptance: Acceptance | None = None,
+    certificate: Certificate | None = None,
 ) -> tuple[Path, ...]:
     """Write a controller into `folder` and return the files' paths; all of them appear or none.
 
@@ -57,15 +59,18 @@ def export(
     inputs : number or (p,) bound of |y|, unit of y, under which the files state the bound of `rounding`; None for 1
     acceptance : what `accept` found for this controller, for the files to say; without it they say that it was never
         accepted (json holds the design as it is)
+    certificate : of this design, as `certify` found it: proved again here, and named by its sha256 in every file,
+        with what it proves
     self_test : put a stored trace and its bitwise comparison into the C source, compiled in with -DNAME_SELF_TEST
 
     Raises
     ------
     ExportError : the controller is continuous or unstable (both are fine in json and mat) or of a kind that cannot
         leave, such as `FuelMpc`; the name is no C identifier, a file exists, an option does not belong to the format or
-        the controller, there is no C compiler for an FMU, or `acceptance` is of another controller.
+        the controller, there is no C compiler for an FMU, or `acceptance` or `certificate` is of another controller.
     ModelError : the controller, the limits or the gain are not valid.
-    VerificationError : rounded to float, the controller does not stabilise the design's plant.
+    VerificationError : rounded to float, the controller does not stabilise the design's plant, or a proof of the
+        certificate does not hold.
     """
     from synth.checks import as_flag, as_path, shown
     from synth.delivery.files import check_name, write_all
@@ -81,20 +86,22 @@ def export(
     if any(kind.__module__.startswith("synth.predictive") for kind in type(design).__mro__):
         from synth.delivery import predictive
 
-        options = {"umin": umin, "umax": umax, "antiwindup": antiwindup, "inputs": inputs, "acceptance": acceptance}
+        options = {"umin": umin, "umax": umax, "antiwindup": antiwindup, "inputs": inputs, "acceptance": acceptance,
+                   "certificate": certificate}
         files = predictive.files(design, format, name, self_test=self_test, dtype=dtype, **options)
         return write_all(folder, files, force=force)
     accepted = NEVER if acceptance is None else _verdict(design, acceptance)
+    proved = "" if certificate is None else _proved(design, certificate)
     options = {"umin": umin, "umax": umax, "antiwindup": antiwindup}
     if format in ("json", "mat"):
         if inputs is not None:
             raise ExportError(f"inputs: a {format} file holds the design, not its arithmetic; leave this away")
         if not (isinstance(dtype, str) and dtype == "double"):
             raise ExportError(f"dtype: a {format} file holds the numbers as they are; leave this away")
-        files = _documents(design, format, name, accepted, **options)
+        files = _documents(design, format, name, accepted, proved, **options)
     else:
         options |= {"dtype": dtype, "allow_unstable": allow_unstable}
-        files = _code(design, format, name, self_test, accepted, inputs, options)
+        files = _code(design, format, name, self_test, (accepted, proved), inputs, options)
     return write_all(folder, files, force=force)
 
 
@@ -112,7 +119,26 @@ def _verdict(design: Any, acceptance: Any) -> str:
     return acceptance.verdict
 
 
-def _documents(design: Any, format: str, name: str, accepted: str, **options: Any) -> dict[str, bytes]:
+def _proved(design: Any, certificate: Any) -> str:
+    """What a certificate of this design proves, with its sha256, if it does."""
+    from synth.checks import shown
+    from synth.errors import ExportError
+    from synth.proof.certify import Certificate
+    from synth.synthesis.design import Design
+
+    if not isinstance(certificate, Certificate):
+        raise ExportError(f"certificate is {shown(certificate)}; pass what certify returned, or None")
+    if not isinstance(design, Design):
+        raise ExportError("certificate is of a design, and the controller comes without one; export the design")
+    parts = (("plant", design.plant.system), ("controller", design.closing))
+    for name, system in parts:
+        if getattr(certificate, f"{name}_sha256") != system.digest():
+            raise ExportError(f"certificate is of another {name}: the sha256 differs; certify this design")
+    certificate.check(design.plant, design.closing)
+    return f"sha256 {certificate.sha256}. {certificate.statement}"
+
+
+def _documents(design: Any, format: str, name: str, accepted: str, proved: str, **options: Any) -> dict[str, bytes]:
     """The design, or a controller without a plant or with limits, as data."""
     from synth.delivery import matlab, plain
     from synth.synthesis.design import Design, json_bytes
@@ -120,11 +146,11 @@ def _documents(design: Any, format: str, name: str, accepted: str, **options: An
     limited = None if all(value is None for value in options.values()) else _limited(design, **options)
     if limited is not None or not isinstance(design, Design):
         write = plain.json_bytes if format == "json" else plain.mat_bytes
-        content = write(design, limited, accepted if isinstance(design, Design) else "")
+        content = write(design, limited, accepted if isinstance(design, Design) else "", proved)
     elif format == "json":
-        content = json_bytes(design)
+        content = json_bytes(design, proved)
     else:
-        content = matlab.mat_bytes(design, accepted)
+        content = matlab.mat_bytes(design, accepted, proved)
     return {f"{name}.{format}": content}
 
 
@@ -138,9 +164,9 @@ def _limited(design: Any, **options: Any) -> AntiWindup:
 
 
 def _code(
-    design: Any, format: str, name: str, self_test: bool, accepted: str, inputs: Any, options: dict[str, Any]
+    design: Any, format: str, name: str, self_test: bool, words: tuple[str, str], inputs: Any, options: dict[str, Any]
 ) -> dict[str, bytes]:
-    """The C files, or the FMU made of them."""
+    """The C files, or the FMU made of them; `words` are those of the gate and of the certificate."""
     from synth.checks import check_period
     from synth.delivery.c import c_files
     from synth.delivery.origin import origin_of
@@ -149,10 +175,11 @@ def _code(
     from synth.regulators.sequential import SequentialController
 
     if isinstance(options["dtype"], str) and options["dtype"] in fixed.FORMATS:
-        return _fixed(design, format, name, self_test, accepted, inputs, options)
+        return _fixed(design, format, name, self_test, words, inputs, options)
     controller = SequentialController.of(design, **options)
     check_period("the controller", controller.dt)
-    origin = origin_of(design, controller, accepted, told(design, controller, inputs))
+    accepted, proved = words
+    origin = origin_of(design, controller, accepted, told(design, controller, inputs), proved)
     if format == "c":
         return c_files(controller, origin, name, self_test=self_test)
     from synth.delivery.fmu import Code, fmu_bytes, lagging
@@ -162,7 +189,7 @@ def _code(
 
 
 def _fixed(
-    design: Any, format: str, name: str, self_test: bool, accepted: str, inputs: Any, options: dict[str, Any]
+    design: Any, format: str, name: str, self_test: bool, words: tuple[str, str], inputs: Any, options: dict[str, Any]
 ) -> dict[str, bytes]:
     """The C files in whole numbers."""
     from synth.checks import check_period
@@ -182,5 +209,6 @@ def _fixed(
     controller = FixedController.of(design, options["dtype"], Y, umin=options["umin"], umax=options["umax"])
     check_period("the controller", controller.dt)
     limited = _limited(design, umin=options["umin"], umax=options["umax"])  # in their units, for the facts
-    origin = origin_of(design, limited, accepted, str(of_fixed(controller, Y)))
+    accepted, proved = words
+    origin = origin_of(design, limited, accepted, str(of_fixed(controller, Y)), proved)
     return fixed_c_files(controller, origin, name, self_test=self_test)

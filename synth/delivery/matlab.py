@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from synth.synthesis.design import Design
 
 
-def mat_bytes(design: Design, accepted: str = "") -> bytes:
+def mat_bytes(design: Design, accepted: str = "", certificate: str = "") -> bytes:
     """The content of the .mat file."""
     from synth.synthesis.convention import sampling
     from synth.synthesis.design import to_dict
 
-    data = to_dict(design)
+    data = to_dict(design, certificate)
     plant = {name: np.asarray(value, dtype=float) for name, value in data["plant"].items() if name[0] in "ABCD"}
     names = {channel: cell(data["plant"][channel]) for channel in "wuzy"}
     info = data["info"]
@@ -41,6 +41,7 @@ def mat_bytes(design: Design, accepted: str = "") -> bytes:
         "solver": info["solver"],
         "tolerance": float(info["tolerance"]),
         "acceptance": accepted,
+        "certificate": certificate or "none",
         "convention": design.convention,
         "sampling": sampling(design.plant.dt),
         "limits": "none",

@@ -41,12 +41,13 @@ class Origin:
 
 
 def origin_of(
-    source: Any, exported: SequentialController | AntiWindup | None = None, accepted: str = "", arithmetic: str = ""
-) -> Origin:
+    source: Any, exported: SequentialController | AntiWindup | None = None, accepted: str = "", arithmetic: str = "",
+    certificate: str = "",
+) -> Origin:  # fmt: skip
     """The origin of a Design, or of a controller that comes without a plant.
 
     Where the exported controller is in single precision, the loop is closed with its rounded matrices and measured.
-    `accepted` and `arithmetic` are what the gate and `rounding` found, in words.
+    `accepted`, `arithmetic` and `certificate` are what the gate and `rounding` found and what was proved, in words.
 
     Raises
     ------
@@ -73,6 +74,7 @@ def origin_of(
         if isinstance(source, LinearController | AntiWindup):
             facts["input"] = "the error e = r - y"
     facts |= {"arithmetic": arithmetic} if arithmetic else {}
+    facts |= {"certificate": certificate} if certificate else {}
     facts |= {"acceptance": accepted} if accepted else {}
     facts["exported by"] = f"convex-synth {metadata.version('convex-synth')}"
     return checked(Origin(facts, inputs, outputs))

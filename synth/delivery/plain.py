@@ -20,31 +20,31 @@ from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.sequential import controller_of
 
 
-def json_bytes(source: Any, limited: AntiWindup | None = None, accepted: str = "") -> bytes:
+def json_bytes(source: Any, limited: AntiWindup | None = None, accepted: str = "", certificate: str = "") -> bytes:
     """The content of the .json file, with a sha256 of all of it; limits that are not there are null.
 
     `limited` is the controller of `source` with the limits that it gets on its way out.
     """
-    data = {key: _json(value) for key, value in _document(source, limited, accepted).items()}
+    data = {key: _json(value) for key, value in _document(source, limited, accepted, certificate).items()}
     return json.dumps(sealed_by_parts(data), indent=1).encode()
 
 
-def mat_bytes(source: Any, limited: AntiWindup | None = None, accepted: str = "") -> bytes:
+def mat_bytes(source: Any, limited: AntiWindup | None = None, accepted: str = "", certificate: str = "") -> bytes:
     """The content of the .mat file, one struct ``controller``; ``ss(A, B, C, D, dt)`` rebuilds the system."""
     buffer = io.BytesIO()
-    content = _document(source, limited, accepted)
+    content = _document(source, limited, accepted, certificate)
     content |= {"dt": matlab_timebase(content["dt"]), "units": [content["units"].get(s, "") for s in content["u"]]}
     content |= {key: cell(content[key]) for key in ("y", "u", "units")}
-    content["json"] = json_bytes(source, limited, accepted).decode()
+    content["json"] = json_bytes(source, limited, accepted, certificate).decode()
     scipy.io.savemat(buffer, {"controller": content}, oned_as="column", long_field_names=True)
     return buffer.getvalue()
 
 
-def _document(source: Any, limited: AntiWindup | None, accepted: str) -> dict[str, Any]:
+def _document(source: Any, limited: AntiWindup | None, accepted: str, certificate: str) -> dict[str, Any]:
     """Arrays, numbers and texts."""
     K = controller_of(source)
     limited = source if isinstance(source, AntiWindup) else limited
-    origin = origin_of(source, limited, accepted)
+    origin = origin_of(source, limited, accepted, certificate=certificate)
     data: dict[str, Any] = {"format": CONTROLLER, "format_version": float(CONTROLLER_VERSION)}
     data |= {"A": K.A, "B": K.B, "C": K.C, "D": K.D, "dt": K.dt}
     if limited is not None:

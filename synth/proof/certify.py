@@ -24,7 +24,7 @@ import numpy as np
 
 from synth.checks import as_number, as_path, as_whole, shown
 from synth.errors import ModelError, VerificationError
-from synth.files import read_json, sealed, write_atomically
+from synth.files import SEAL, read_json, sealed, write_atomically
 from synth.proof import balls
 from synth.proof.balls import Coupling, Fall, Impulse, LowerWitness, Step, UpperWitness
 from synth.proof.lower import find_lower
@@ -93,6 +93,11 @@ class Certificate:
             f"stabilises the plant with an H-infinity norm below {self.upper!r}; "
             + (lower if self.lower_witness else f"no lower bound proved ({self.note})")
         )
+
+    @property
+    def sha256(self) -> str:
+        """Of all that its file holds, as the file itself says it."""
+        return to_dict(self)[SEAL]
 
     def check(self, plant: GeneralizedPlant | None = None, controller: StateSpace | None = None) -> None:
         """Prove both bounds again, from the witnesses alone.

@@ -274,8 +274,11 @@ class Design:
         return from_dict(data)
 
 
-def to_dict(design: Design) -> dict[str, Any]:
-    """The design as plain data, complete and exact, with a sha256 of all of it and of its parts."""
+def to_dict(design: Design, certificate: str = "") -> dict[str, Any]:
+    """The design as plain data, complete and exact, with a sha256 of all of it and of its parts.
+
+    `certificate` is what was proved of it, in words, for whoever reads the file.
+    """
     data = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -291,12 +294,14 @@ def to_dict(design: Design) -> dict[str, Any]:
     }
     if design.shaping is not None:
         data["shaping"] = {name: _system_to_dict(getattr(design.shaping, name)) for name in SHAPING}
+    if certificate:
+        data["certificate"] = certificate
     return sealed_by_parts(data)
 
 
-def json_bytes(design: Design) -> bytes:
+def json_bytes(design: Design, certificate: str = "") -> bytes:
     """The content of the .json file."""
-    return json.dumps(to_dict(design), indent=1, allow_nan=False).encode()
+    return json.dumps(to_dict(design, certificate), indent=1, allow_nan=False).encode()
 
 
 def _system_to_dict(G: StateSpace) -> dict[str, Any]:
