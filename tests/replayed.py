@@ -7,8 +7,11 @@ import numpy as np
 from exported import gcc
 from scipy.linalg import solve_discrete_lyapunov
 
+import synth
 from synth.systems.statespace import StateSpace
 
+TYPES = {"double": "double", "float32": "float"}
+SLOW = 1e-4  # distance of a pole from the unit circle, from which errors need more samples than `trying` has
 NEAR = 50  # times what was measured, which a bound may be
 BESIDE = """
 typedef int (*step_function)(void *, const REAL *, REAL *);
@@ -85,6 +88,22 @@ def difference(
     sizes = (len(inputs), steps, choices)
     loaded.beside(step, K.n, K.nu, K.ny, *pointers, *sizes, worst.ctypes.data_as(numbers))
     return worst
+
+
+def measured(
+    K: synth.Design | StateSpace, bounds: np.ndarray, precision: str, folder: Path, steps: int, seed: int = 0
+) -> np.ndarray:
+    """The largest |u - exact u| (m,) of a controller's exported C, on inputs within bounds that try it hard."""
+    folder.mkdir(exist_ok=True)
+    _, source = synth.export(K, "c", folder, dtype=TYPES[precision], self_test=False, force=True)
+    system = K.controller if isinstance(K, synth.Design) else K
+    inputs = trying(system, bounds, np.random.default_rng(seed))
+    runs = [(inputs, steps, 1), (inputs, steps // 20, 16)]
+    if np.abs(np.linalg.eigvals(system.A)).max(initial=0.0) > 1 - SLOW:  # states that take longer than all these
+        gain = system.C @ np.linalg.solve(np.eye(system.n) - system.A, system.B) + system.D
+        runs += [(sign[None] * bounds, steps, 16) for sign in np.unique(np.sign(gain), axis=0)]
+    found = [difference(source, system, TYPES[precision], y, k, choices=choices) for y, k, choices in runs]
+    return np.max(found, axis=0)
 
 
 def trying(K: StateSpace, bounds: np.ndarray, rng: np.random.Generator, longest: int = 30_000) -> np.ndarray:

@@ -5,24 +5,14 @@ import json
 import numpy as np
 import pytest
 from literature import cubesat_pecorilla2024
-from replayed import NEAR, difference, random_controller, trying
+from replayed import NEAR, TYPES, measured, random_controller
 
 import synth
 from synth.__main__ import main
 from synth.errors import ModelError, NumericalError
 
-TYPES = {"double": "double", "float32": "float"}
 INTEGRATOR = synth.StateSpace([[1.0]], [[0.1]], [[1.0]], [[2.0]], 0.1)
 LAG = synth.c2d(synth.system([-1], [1, 1]), 0.1)
-
-
-def measured(K, bounds, precision, folder, steps, seed=0):
-    folder.mkdir(exist_ok=True)
-    _, source = synth.export(K, "c", folder, dtype=TYPES[precision], self_test=False, force=True)
-    system = K.controller if isinstance(K, synth.Design) else K
-    inputs = trying(system, bounds, np.random.default_rng(seed))
-    plain = difference(source, system, TYPES[precision], inputs, steps)
-    return np.maximum(plain, difference(source, system, TYPES[precision], inputs, steps // 20, choices=16))
 
 
 @pytest.mark.parametrize("precision", TYPES)
