@@ -11,7 +11,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from synth.delivery.acceptance import Requirements
+from synth.delivery.conditions import Requirements
 from synth.delivery.files import check_target
 from synth.delivery.matfiles import read_mat
 from synth.delivery.modelfiles import JSON, WRITTEN
@@ -63,19 +63,19 @@ def verify(options: argparse.Namespace, load: Load) -> tuple[list[dict[str, Any]
         raise ModelError(f"{others[0]}: this is no certificate; verify controllers on their own")
     of = options.design
     design = None if of is None or Path(of).suffix in EXPORTED else of_design(of, load)
-    named = "" if of is None else named_in(of)
+    named = set() if of is None else named_in(of)
     if of is not None and design is None and not named:
         raise ModelError(f"{of}: this file names no certificate; pass one that `synth export --certificate` wrote")
     found = {file: read(file) for file in options.files}
     for file, certificate in found.items():
         try:
-            if isinstance(certificate, BoxCertificate) and of is not None:
+            if isinstance(certificate, BoxCertificate) and design is not None:
                 raise ModelError("--design means nothing for a certificate of a box, which holds its own closed loop")
             if isinstance(certificate, BoxCertificate) or design is None:
                 certificate.check()
             else:
                 certificate.check(design.plant, design.closing)
-            if named and isinstance(certificate, Certificate) and certificate.sha256 != named:
+            if named and certificate.sha256 not in named:
                 raise VerificationError(f"the certificate is another than the one that {of} names: the sha256 differs")
         except SynthError as error:
             error.args = (f"{file}: {error}",)
@@ -85,8 +85,8 @@ def verify(options: argparse.Namespace, load: Load) -> tuple[list[dict[str, Any]
     return data, "\n\n".join(f"{file}\n{text(c)}\n{ending}" for file, c in found.items())
 
 
-def named_in(file: str) -> str:
-    """The sha256 of the certificate that a design or an exported file names, empty if it names none."""
+def named_in(file: str) -> set[str]:
+    """The sha256 of the certificates that a design or an exported file names."""
     path = Path(file)
     if path.suffix == ".mat":
         texts = [str(text) for name, text in read_mat(path, WRITTEN).items() if name.endswith(f".{JSON}")]
@@ -95,8 +95,7 @@ def named_in(file: str) -> str:
             texts = [unit.read(DESCRIPTION).decode(errors="replace")]
     else:
         texts = [read_bytes(path).decode(errors="replace")]
-    found = NAMED.search(re.sub(r"[\s*]+", " ", " ".join(texts)))
-    return found[1] if found else ""
+    return set(NAMED.findall(re.sub(r"[\s*]+", " ", " ".join(texts))))
 
 
 def begins(file: str) -> str:

@@ -217,9 +217,11 @@ def gain_of(item: Any, options: argparse.Namespace) -> Any:
 
 def acceptance_data(found: Any) -> dict[str, Any]:
     """An `Acceptance` as plain data."""
-    from dataclasses import asdict
+    from dataclasses import asdict, replace
 
-    conditions = [{**asdict(c), "verdict": c.verdict} for c in found.conditions]
+    conditions = [{**asdict(replace(c, certificate=None)), "verdict": c.verdict} for c in found.conditions]
+    for condition, c in zip(conditions, found.conditions, strict=True):
+        condition["certificate"] = c.certificate and c.certificate.sha256
     return {
         "passed": found.passed, "verdict": found.verdict, "level": found.level, "dt": found.dt,
         "conditions": conditions, "margins": None if found.margins is None else margins_data(found.margins),

@@ -45,6 +45,7 @@ from synth.delivery.conditions import NO_LEVEL, Condition, Requirements, between
 from synth.delivery.processor import PRECISIONS, in_numbers, inner, saturation
 from synth.delivery.rounding import bounds
 from synth.errors import ModelError, SynthError
+from synth.proof.boxcertificate import BoxCertificate
 from synth.regulators.antiwindup import AntiWindup
 from synth.regulators.sequential import controller_of
 from synth.synthesis.design import Design
@@ -97,6 +98,11 @@ class Acceptance:
         text = f"{f'NOT accepted ({failed})' if failed else 'accepted'} at {self.period}"
         text += f"; not judged, no level known: {unknown}" if unknown else ""
         return text + (f"; not judged: {others}" if others else "")
+
+    @property
+    def certificates(self) -> dict[str, BoxCertificate]:
+        """What proves the lines about the box of an uncertain plant, by the name of the line."""
+        return {c.name: c.certificate for c in self.conditions if c.certificate is not None}
 
     @property
     def period(self) -> str:

@@ -99,7 +99,7 @@ def _stable(name: str, G: UncertainSystem, K: StateSpace, least: float) -> Condi
     passed = True if proved >= least else False if lost and found.upper <= least else None
     text += f"; {found.note}" if passed is None and found.note else ""
     stable = True if proved >= 1 else False if lost and found.upper <= 1 else None
-    return Condition(name, passed, stable, note=text, required=least > 0)
+    return Condition(name, passed, stable, note=text, required=least > 0, certificate=found.certificate)
 
 
 def _gain(plant: UncertainSystem, K: StateSpace, level: float | None, limit: float | None) -> Condition:
@@ -114,11 +114,12 @@ def _gain(plant: UncertainSystem, K: StateSpace, level: float | None, limit: flo
         return Condition(name, None, note=f"{at}; {found.note}", required=limit is not None)
     ratio, least = (None, None) if level is None else (over(found.upper, level), over(found.lower, level))
     if limit is None:
-        return Condition(name, True, True, found.upper, ratio, at, required=False)
+        return Condition(name, True, True, found.upper, ratio, at, required=False, certificate=found.certificate)
     if ratio is None or least is None:
         return Condition(name, None, True, found.upper, note=f"{at}; no level is known; give one (level=)")
     passed = True if ratio <= limit else False if least > limit else None
-    return Condition(name, passed, True, found.upper, ratio, at if passed else f"{at}; {missed(ratio, limit)}")
+    note = at if passed else f"{at}; {missed(ratio, limit)}"
+    return Condition(name, passed, True, found.upper, ratio, note, certificate=found.certificate)
 
 
 def _margins(

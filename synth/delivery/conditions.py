@@ -7,7 +7,7 @@ was found beside what is required.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from synth.analysis.sampleddata import SampledNorm
 from synth.analysis.stabilitymargins import Margins
 from synth.checks import as_number
 from synth.errors import SynthError
+from synth.proof.boxcertificate import BoxCertificate
 from synth.synthesis.remarks import BETWEEN
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace
@@ -61,6 +62,7 @@ class Condition:
     ratio: float | None = None  # of the norm to the level, if one is known
     note: str = ""
     required: bool = True  # False for what is only reported
+    certificate: BoxCertificate | None = field(default=None, compare=False, repr=False)  # of what is proved over a box
 
     @property
     def verdict(self) -> str:

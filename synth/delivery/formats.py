@@ -116,7 +116,8 @@ def _verdict(design: Any, acceptance: Any) -> str:
         raise ExportError(f"acceptance is {shown(acceptance)}; pass what accept returned, or None")
     if acceptance.controller_sha256 != controller_of(design).digest():
         raise ExportError("acceptance is of another controller: the sha256 differs; pass accept of this one")
-    return acceptance.verdict
+    proved = (f"; {name}: certificate sha256 {c.sha256}. {c.statement}" for name, c in acceptance.certificates.items())
+    return acceptance.verdict + "".join(proved)
 
 
 def _proved(design: Any, certificate: Any) -> str:

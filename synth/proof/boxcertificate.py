@@ -24,7 +24,7 @@ from flint import acb, acb_mat, arb, ctx
 
 from synth.checks import as_path
 from synth.errors import ModelError, VerificationError
-from synth.files import read_json, sealed, write_atomically
+from synth.files import SEAL, read_json, sealed, write_atomically
 from synth.proof import robust
 from synth.proof.boxes import follows
 from synth.proof.pencils import Pencil, rational
@@ -69,6 +69,11 @@ class BoxCertificate:
             claim = f"the loop is stable on the box {box} made {self.level!r} times as large about its nominal values"
             other = f"; at {at}, in the box made {self.reached!r} times as large, it is not" if at else ""
         return f"Proved in {self.bits}-bit ball arithmetic, all data taken as exact doubles: {claim}{other}"
+
+    @property
+    def sha256(self) -> str:
+        """Of all that its file holds, as the file itself says it."""
+        return to_dict(self)[SEAL]
 
     def check(self, system: UncertainSystem | None = None) -> None:
         """Prove it again, from the data and the script alone.

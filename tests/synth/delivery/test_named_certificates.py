@@ -50,7 +50,7 @@ def test_every_format_says_what_is_proved(format, options, design, certificate, 
     files = synth.export(design, format, tmp_path, certificate=certificate, **options)
     words = f"sha256 {certificate.sha256}. {certificate.statement}"
     assert format == "mat" or words in written(files[0])
-    assert named_in(str(files[0])) == certificate.sha256
+    assert named_in(str(files[0])) == {certificate.sha256}
     if format == "c" and options.get("dtype") == "float":
         assert all(text in written(files[0]) for text in ("|u - exact u| <=", "between the samples", "sha256"))
     if format in ("json", "mat"):
@@ -79,7 +79,7 @@ def test_the_command_names_it(design, certificate, tmp_path):
     certificate.save(tmp_path / "proof.json")
     options = ["--certificate", str(tmp_path / "proof.json"), "-o", str(tmp_path)]
     assert main(["export", str(tmp_path / "design.json"), "--format", "c", *options]) == 0
-    assert named_in(str(tmp_path / "controller.h")) == certificate.sha256
+    assert named_in(str(tmp_path / "controller.h")) == {certificate.sha256}
     assert json.loads((tmp_path / "proof.json").read_text())["sha256"] == certificate.sha256
 
 
@@ -99,3 +99,18 @@ def test_only_a_certificate_of_this_design_that_holds_is_named(design, certifica
     with pytest.raises(ExportError, match="pass what certify returned"):
         synth.export(design, "c", tmp_path, certificate="proof.json")
     assert not [*tmp_path.iterdir()]
+
+
+def test_what_the_gate_proved_over_a_box_is_named_too(design, certificate, tmp_path, capsys):
+    k = synth.ureal("k", 1.0, percentage=20)
+    found = synth.accept(design, synth.UncertainSystem(None, [[-1.0]], [[k]], [[1.0]]))
+    proofs = found.certificates
+    assert "stability over the box" in proofs
+    header, _ = synth.export(design, "c", tmp_path, acceptance=found, certificate=certificate)
+    assert named_in(str(header)) == {certificate.sha256, *(c.sha256 for c in proofs.values())}
+    saved = proofs["stability over the box"].save(tmp_path / "box.json")
+    assert main(["verify", str(saved), "--design", str(header)]) == 0
+    other = synth.accept(design, synth.UncertainSystem(None, [[-1.1]], [[k]], [[1.0]])).certificates
+    other["stability over the box"].save(tmp_path / "other.json")
+    assert main(["verify", str(tmp_path / "other.json"), "--design", str(header)]) == 1
+    assert "names: the sha256 differs" in capsys.readouterr().err
