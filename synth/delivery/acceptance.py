@@ -47,6 +47,7 @@ from synth.delivery.rounding import bounds
 from synth.errors import ModelError, SynthError
 from synth.proof.boxcertificate import BoxCertificate
 from synth.regulators.antiwindup import AntiWindup
+from synth.regulators.fixed import FORMATS
 from synth.regulators.sequential import controller_of
 from synth.synthesis.design import Design
 from synth.synthesis.info import SAMPLED
@@ -164,6 +165,8 @@ def accept(
         if not (umin is None and umax is None and antiwindup is None):
             raise ModelError("umin, umax or antiwindup is given, but an AntiWindup has its own; leave them away")
         umin, umax, antiwindup = design.umin, design.umax, design.L
+    if precision in FORMATS and antiwindup is not None:
+        raise ModelError(f"antiwindup is given, and precision is {precision!r}: fixed point has none; leave one away")
     P, K, gamma = _loop(design, plant)
     inputs = None if inputs is None else bounds("inputs", inputs, K.nu)
     level = gamma if level is None else as_number("level", level, "the norm that was promised, or None", above=0)

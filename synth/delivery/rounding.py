@@ -29,6 +29,7 @@ HELD = "inputs beyond are held there"
 SMALL = 1e-12  # part of the excitation given to states that no input moves, when an observer is looked for
 ROOM = 1e-3  # of the signals' peaks, that is left to what rounding adds
 TRIES = 5  # at making this room larger
+NONE = 1e-250  # peaks below it are what their proof adds to zero
 SLOW = 0.999  # largest pole, from which a bound of the states that leaves u aside is not worth its time
 UNASKED = 20  # states, up to which a bound is proved though none was asked for
 DIGITS = 3  # of a bound in words, rounded up
@@ -183,7 +184,9 @@ def loop_peaks(P: GeneralizedPlant, K: StateSpace) -> tuple[np.ndarray, np.ndarr
     NumericalError : the loop is not proved stable.
     """
     found = reached(Law(*K.matrices), _plant(P, K), P.B1, P.D21)
-    Y, U = (np.where(size > 0, size, size.max(initial=0.0) or 1.0) for size in found)
+    Y, U = (
+        np.where(moved, size, size.max(initial=0.0, where=moved) or 1.0) for size in found for moved in [size > NONE]
+    )
     return Y, U
 
 

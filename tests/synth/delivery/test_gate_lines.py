@@ -8,10 +8,12 @@ import pytest
 
 import synth
 from synth import GeneralizedPlant, Requirements, StateSpace, UncertainSystem, accept, gang_of_four, ureal
+from synth.__main__ import main
 from synth.analysis.norms import hinfnorm
 from synth.delivery import boxconditions
 from synth.delivery.boxconditions import STABLE
-from synth.delivery.rounding import in_loop
+from synth.delivery.processor import PRECISIONS
+from synth.errors import ModelError
 
 NOTHING = Requirements(
     ratio=1e9, intersample_ratio=None, delay_margin_samples=None, disk_margin=None, rounding_ratio=None, box_margin=None
@@ -132,6 +134,36 @@ def test_a_design_is_judged_over_the_box_of_a_plain_plant_beside_its_own():
     assert "gain over the box" in [c.name for c in whole.conditions]
 
 
+def test_signals_that_w_does_not_move_have_no_peaks_to_miss():
+    """w acts on what neither z nor y nor u sees: rounding then is a part of nothing, and is not said to be all."""
+    P = GeneralizedPlant(
+        [[0.5, 0.0], [0.0, 0.3]], [[0.0], [1.0]], [[1.0], [0.0]], [[1.0, 1.0]], [[0.0]], [[0.0]], [[1.0, 0.0]], [[0.0]],
+        [[0.0]], dt=1.0,
+    )  # fmt: skip
+    for precision in PRECISIONS:
+        found = accept(StateSpace([[0.2]], [[1.0]], [[0.1]], [[-0.1]], 1.0), P, precision=precision)
+        assert next(c for c in found.conditions if c.name == f"rounding ({precision})").passed
+
+
+def test_the_command_judges_numbers_of_a_kind(tmp_path, capsys):
+    synth.hinfsyn(synth.c2d(gang_of_four(synth.system([1.0], [1.0, 1.0])), 0.2)).save(tmp_path / "design.json")
+    call = ["verify", str(tmp_path / "design.json"), "--precision", "q15", "--inputs", "2.5"]
+    assert main(call) == 0
+    assert "at any time with |y| <= 2.5" in capsys.readouterr().out
+    assert main([*call, "--rounding-ratio", "1e-9"]) == 1
+    assert "at most 1e-09 is required" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"precision": "q7"}, {"inputs": -1.0}, {"inputs": [1.0, 2.0]}, {"plant": uncertain(B=[[1.0, 0.0]])}]
+)
+def test_wrong_arguments_are_named(wrong):
+    with pytest.raises(ModelError, match=r"precision is|inputs is|P is 1 x 2"):
+        accept(**{"design": static(GAIN), "plant": FOUR, **wrong})
+    with pytest.raises(ModelError, match="fixed point has none"):
+        accept(INTEGRATOR, FOUR, umin=-1, umax=1, antiwindup=[[0.5]], precision="q15")
+
+
 def test_what_no_proof_reaches_is_not_judged(monkeypatch):
     """A proof that was not begun, and one that is impossible, say so and fail nothing."""
     monkeypatch.setattr(boxconditions, "PATIENCE", 0.0)
@@ -142,11 +174,3 @@ def test_what_no_proof_reaches_is_not_judged(monkeypatch):
     large = StateSpace(0.5 * np.eye(21), np.ones((21, 1)), -0.01 * np.ones((1, 21)), [[-GAIN]], 1.0)
     line = next(c for c in accept(large, FOUR, requirements=NOTHING).conditions if c.name == "rounding (float32)")
     assert (line.passed, "pass inputs" in line.note) == (None, True)
-
-
-def test_rounding_in_the_loop_is_that_of_its_signals():
-    """Slow states cost nothing that the loop does not show: the bound stays near what a simulation finds."""
-    P = synth.c2d(gang_of_four(synth.system([1.0], [1.0, 0.0])), 1e-3)
-    K = synth.c2d(synth.system([-1.0, -1.0], [1.0, 1e-3]), 1e-3)
-    found, peaks = in_loop(P, K, "float32")
-    assert (found.command <= 1e-2 * peaks).all()
