@@ -212,6 +212,8 @@ class Specifications(Record):
     disk_margin: NotNegative | None = None
     ncf_margin: NotNegative | None = None
     rounding_ratio: Positive | None = None
+    box_margin: NotNegative | None = None
+    box_gain_ratio: Positive | None = None
     dt: Positive | None = None
     overload: Annotated[float, Field(gt=1)] | None = None
     umin: Limits | None = None
