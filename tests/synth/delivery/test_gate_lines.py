@@ -134,6 +134,13 @@ def test_a_design_is_judged_over_the_box_of_a_plain_plant_beside_its_own():
     assert "gain over the box" in [c.name for c in whole.conditions]
 
 
+def test_no_margin_is_kept_where_the_loop_is_unstable():
+    """Though nothing is asked of the size of the box, a margin that is required is none at an unstable point in it."""
+    found = accept(static(GAIN), uncertain(0.5), requirements=asks(disk_margin=0.1))
+    assert [c.name for c in found.failed] == ["disk margin over the box"]
+    assert "not proved stable on the box" in found.failed[0].note
+
+
 def test_signals_that_w_does_not_move_have_no_peaks_to_miss():
     """w acts on what neither z nor y nor u sees: rounding then is a part of nothing, and is not said to be all."""
     P = GeneralizedPlant(
