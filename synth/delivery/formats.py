@@ -43,8 +43,9 @@ def export(
     Parameters
     ----------
     design : Design, or a controller that comes without a plant (StateSpace, `control.StateSpace`, (A, B, C, D, dt),
-        `LinearController`, `AntiWindup`), whose files then say that nothing was verified in a loop; or an `Mpc`, which
-        takes none of the options from `umin` to `acceptance`
+        `LinearController`, `AntiWindup`), whose files then say that nothing was verified in a loop; an `Mpc`, which
+        takes none of the options from `umin` to `certificate`; `Sdre`, `SdreSampled` and `SdreHinfStatic` of a model of
+        `synth`, which leave as "c", with umin, umax and self_test alone
     format : "json", "mat", "c", "fmu2" or "fmu3"
     folder : made if it is missing
     name : of the files and, in C, of the functions: a C identifier
@@ -65,15 +66,17 @@ def export(
 
     Raises
     ------
-    ExportError : the controller is continuous or unstable (both are fine in json and mat) or of a kind that cannot
-        leave, such as `FuelMpc`; the name is no C identifier, a file exists, an option does not belong to the format or
-        the controller, there is no C compiler for an FMU, or `acceptance` or `certificate` is of another controller.
+    ExportError : the controller is continuous or unstable (both are fine in json and mat) or of a kind that does not
+        leave so (`synth.delivery.leaving`); the name is no C identifier, a file exists, an option does not belong to
+        the format or the controller, there is no C compiler for an FMU, or `acceptance` or `certificate` is of another
+        controller.
     ModelError : the controller, the limits or the gain are not valid.
     VerificationError : rounded to float, the controller does not stabilise the design's plant, or a proof of the
         certificate does not hold.
     """
     from synth.checks import as_flag, as_path, shown
     from synth.delivery.files import check_name, write_all
+    from synth.delivery.leaving import check_leaves, is_sdre
     from synth.errors import ExportError
 
     if not isinstance(format, str) or format not in FORMATS:
@@ -87,9 +90,17 @@ def export(
         from synth.delivery import predictive
 
         options = {"umin": umin, "umax": umax, "antiwindup": antiwindup, "inputs": inputs, "acceptance": acceptance,
-                   "certificate": certificate}
+                   "certificate": certificate}  # fmt: skip
         files = predictive.files(design, format, name, self_test=self_test, dtype=dtype, **options)
         return write_all(folder, files, force=force)
+    check_leaves(design, format)
+    if is_sdre(design):
+        _check_unused(dtype=dtype != "double", allow_unstable=allow_unstable, antiwindup=antiwindup is not None,
+                      inputs=inputs is not None, acceptance=acceptance is not None,
+                      certificate=certificate is not None)  # fmt: skip
+        from synth.delivery.csdre import sdre_files
+
+        return write_all(folder, sdre_files(design, name, umin=umin, umax=umax, self_test=self_test), force=force)
     accepted = NEVER if acceptance is None else _verdict(design, acceptance)
     proved = "" if certificate is None else _proved(design, certificate)
     options = {"umin": umin, "umax": umax, "antiwindup": antiwindup}
@@ -103,6 +114,15 @@ def export(
         options |= {"dtype": dtype, "allow_unstable": allow_unstable}
         files = _code(design, format, name, self_test, (accepted, proved), inputs, options)
     return write_all(folder, files, force=force)
+
+
+def _check_unused(**given: bool) -> None:
+    """Options of linear controllers, of which a Riccati law has none."""
+    from synth.errors import ExportError
+
+    for name, passed in given.items():
+        if passed:
+            raise ExportError(f"{name}: belongs to linear controllers; a Riccati law has none, leave this away")
 
 
 def _verdict(design: Any, acceptance: Any) -> str:

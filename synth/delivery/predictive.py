@@ -24,6 +24,7 @@ OF_LINEAR = {  # options of `export` that are for linear controllers: name -> (v
     "antiwindup": (None, "it knows its limits, and needs no anti-windup; leave it away"),
     "inputs": (None, "the bound of rounding is proved for linear laws; here every command is checked; leave it away"),
     "acceptance": (None, "accept judges linear controllers; fly this one in a simulation instead"),
+    "certificate": (None, "certificates are of linear loops; leave it away"),
     "dtype": ("double", "in other numbers than doubles its optimum is not known well enough to pass the check"),
 }
 

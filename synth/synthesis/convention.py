@@ -19,6 +19,10 @@ PREDICTIVE = (
 )
 PLANNED = "umin <= u <= umax, which the plan knows and no command exceeds"
 SOFT = "soft ones, which the plan keeps wherever they can be kept: "
+REGULATED = (
+    "u = -K(y) x: the measurement y is of the body relative to its target, which is the error already; x is regulated "
+    "to zero, there is no r"
+)
 CLIPPED = "u = min(max(v, umin), umax) with v = C x + D y"
 CONDITIONED = "the states learn of what was cut off, x+ = A x + B y + L (u - v)"
 UNCONDITIONED = "the states go on as if nothing had been cut off"
