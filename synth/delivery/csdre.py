@@ -192,9 +192,9 @@ def _agreement(found: Record, N: str) -> str:
         f"|u - u of Python| <= {N}_AGREEMENT |K| |x| in the 2-norm and, of K, the Frobenius norm: {found.bound:.3g} = "
         f"2 x {ACCURACY:g}, the relative error at which either accepts a solution, + {FACTOR} x {found.rounding:.3g}, "
         f"the most by which commands of {len(found.y) - 1} samples moved, relative to |K| |x|, when Python flew them "
-        f"again with its states and commands in {ORDERS} other orders, which round otherwise: measured, not proved. They are "
-        f"attitudes all round, rates to {found.rate:.3g} rad/s and momenta to {found.momentum:.3g} N m s about an "
-        f"axis; there the bound is at most {found.largest:.3g} N m"
+        f"again with its states and commands in {ORDERS} other orders, which round otherwise: measured, not proved. "
+        f"They are attitudes all round, rates to {found.rate:.3g} rad/s and momenta to {found.momentum:.3g} N m s "
+        f"about an axis; there the bound is at most {found.largest:.3g} N m"
     )
 
 

@@ -256,17 +256,32 @@ def sampled_cost(
     """Model and cost of one period `dt` s with the command held, by one exponential (Van Loan).
 
     With M = [[A, B], [0, 0]] and W = [[Q, N], [N', R]]:  exp([[-M', W], [0, M]] dt) = [[., X], [0, e^M dt]], and
-    the integral of e^M't W e^Mt over the period is (e^M dt)' X. Traceable with `jax.numpy` and its `expm`.
-    It loses digits where modes of A decay within a small part of the period: `lqrd` doubles a short one.
+    the integral of e^M't W e^Mt over the period is (e^M dt)' X. Traceable with `jax.numpy` and its `expm`, which gives
+    up on large exponents: commands and costs have units in which B and W are no larger than A. It loses digits where
+    modes of A decay within a small part of the period: `lqrd` doubles a short one.
     """
     n, m = B.shape
-    M = xp.block([[A, B], [xp.zeros((m, n + m))]])
     N = xp.zeros((n, m)) if N is None else N
-    W = xp.block([[Q, N], [N.T, R]])
-    E = expm(xp.block([[-M.T, W], [xp.zeros((n + m, n + m)), M]]) * dt)
+    longest = xp.maximum(_largest(A, xp) * dt, 1.0)
+    b = 1 / _binary(_largest(B, xp) * dt / longest, xp)  # unit of u
+    M = xp.block([[A, b * B], [xp.zeros((m, n + m))]])
+    W = xp.block([[Q, b * N], [b * N.T, b * b * R]])
+    w = _binary(_largest(W, xp) * dt / longest, xp)  # unit of the cost
+    E = expm(xp.block([[-M.T, W / w], [xp.zeros((n + m, n + m)), M]]) * dt)
     end = E[n + m :, n + m :]
-    J = end.T @ E[: n + m, n + m :]
-    return SampledCost(end[:n, :n], end[:n, n:], J[:n, :n], J[n:, n:], J[:n, n:])
+    J = w * (end.T @ E[: n + m, n + m :])
+    return SampledCost(end[:n, :n], end[:n, n:] / b, J[:n, :n], J[n:, n:] / (b * b), J[:n, n:] / b)
+
+
+def _largest(M: Any, xp: Any) -> Any:
+    """Of the entries' moduli, 0 where there are none."""
+    return xp.max(xp.abs(M), initial=0.0)
+
+
+def _binary(x: Any, xp: Any) -> Any:
+    """The power of two next to x, 1 where there is none: units changed by it change no bits."""
+    x = xp.where((x > 0) & (x < np.inf), x, 1.0)
+    return xp.ldexp(1.0, xp.round(xp.log2(x)).astype(int))
 
 
 def _doubled(cost: SampledCost) -> SampledCost:

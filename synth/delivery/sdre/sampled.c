@@ -18,6 +18,28 @@ static double norm1(const double *A, int n) /* largest sum of a column */
     return largest;
 }
 
+static double largest(const double *A, int count)
+{
+    double most = 0;
+    for (int i = 0; i < count; ++i) {
+        most = fabs(A[i]) > most ? fabs(A[i]) : most;
+    }
+    return most;
+}
+
+/* The power of two next to x, 1 where there is none: units changed by it change no bits. */
+static double binary(double x)
+{
+    double power = 1;
+    while (isfinite(x) && power < 0.7 * x) {
+        power *= 2;
+    }
+    while (x > 0 && power > 1.5 * x) {
+        power /= 2;
+    }
+    return power;
+}
+
 /* A (BIG, BIG) becomes e^A by Pade [13/13] and squaring; returns 0 where it is too large for that. */
 static int exponential(double *A)
 {
@@ -104,20 +126,24 @@ static int gain_at(memory *state, const double *A, const double *B, double *K)
     double F[NN], G[N * M], GT[M * N], cross_weight[N * M], weight[M * M], S[M * 2 * N], RN[M * N], RG[M * N];
     double P[NN], H[NN], X[NN], A0[NN], G0[NN], Q0[NN];
     (void)state;
+    const double longest = largest(A, NN) * dt > 1 ? largest(A, NN) * dt : 1;
+    const double b = 1 / binary(largest(B, N * M) * dt / longest); /* unit of u */
+    const double costs = largest(Q, NN), commands = b * b * largest(R, M * M);
+    const double w = binary((costs > commands ? costs : commands) * dt / longest); /* unit of the cost */
     for (int i = 0; i < N; ++i) { /* [[-M', W], [0, M]] dt with M = [[A, B], [0, 0]] and W = [[Q, 0], [0, R]] */
         for (int j = 0; j < N; ++j) {
             E[j * BIG + i] = -A[i * N + j] * dt;
             E[(ALL + i) * BIG + ALL + j] = A[i * N + j] * dt;
-            E[i * BIG + ALL + j] = Q[i * N + j] * dt;
+            E[i * BIG + ALL + j] = Q[i * N + j] / w * dt;
         }
         for (int j = 0; j < M; ++j) {
-            E[(N + j) * BIG + i] = -B[i * M + j] * dt;
-            E[(ALL + i) * BIG + ALL + N + j] = B[i * M + j] * dt;
+            E[(N + j) * BIG + i] = -(b * B[i * M + j]) * dt;
+            E[(ALL + i) * BIG + ALL + N + j] = b * B[i * M + j] * dt;
         }
     }
     for (int i = 0; i < M; ++i) {
         for (int j = 0; j < M; ++j) {
-            E[(N + i) * BIG + ALL + N + j] = R[i * M + j] * dt;
+            E[(N + i) * BIG + ALL + N + j] = b * b * R[i * M + j] / w * dt;
         }
     }
     if (!exponential(E)) {
@@ -134,18 +160,18 @@ static int gain_at(memory *state, const double *A, const double *B, double *K)
     for (int i = 0; i < N; ++i) {
         for (int j = 0; j < N; ++j) {
             F[i * N + j] = T[j * ALL + i];
-            Q0[i * N + j] = end[i * ALL + j];
+            Q0[i * N + j] = w * end[i * ALL + j];
         }
         for (int j = 0; j < M; ++j) {
-            G[i * M + j] = T[(N + j) * ALL + i];
-            cross_weight[i * M + j] = end[i * ALL + N + j];
+            G[i * M + j] = T[(N + j) * ALL + i] / b;
+            cross_weight[i * M + j] = w * end[i * ALL + N + j] / b;
             S[j * 2 * N + i] = cross_weight[i * M + j];
             S[j * 2 * N + N + i] = G[i * M + j];
         }
     }
     for (int i = 0; i < M; ++i) {
         for (int j = 0; j < M; ++j) {
-            weight[i * M + j] = J[i * M + j] = end[(N + i) * ALL + N + j];
+            weight[i * M + j] = J[i * M + j] = w * end[(N + i) * ALL + N + j] / (b * b);
         }
     }
     solve(J, S, M, 2 * N); /* takes the cross weight out */

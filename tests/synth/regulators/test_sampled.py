@@ -8,7 +8,7 @@ import scipy.linalg as sla
 
 from synth.errors import ModelError, NumericalError
 from synth.regulators.regulator import lqr, lqrd, sampled_cost
-from synth.regulators.sdc import EulerModel
+from synth.regulators.sdc import EulerModel, MrpModel
 from synth.regulators.sdre import SdreSampled, sampled_gain
 
 INERTIA = np.diag([1.17, 1.17, 1.13])  # kg m^2, the air-bearing study, as all numbers here
@@ -111,3 +111,20 @@ def test_what_is_refused():
         EulerModel.create(INERTIA, [0, np.pi / 2, 0])
     with pytest.raises(ModelError, match="roll, pitch and yaw"):
         EulerModel.create(INERTIA, [0, 1])
+
+
+@pytest.mark.parametrize(("size", "time"), [(1.0, 1.0), (1e-3, 1.0), (1e5, 1.0), (1.0, 1e3), (1e-5, 1e-3), (1e4, 1e3)])
+@pytest.mark.parametrize("R", [1e-6, 1.0, 1e8])
+def test_riccati_laws_of_long_periods_have_a_solution_in_any_unit(size, time, R):
+    """At rest at the target the law's own gain is that of `lqrd`; a large R made JAX's exponential give up."""
+    J = size * np.array([[3, 0.2, 0], [0.2, 4, 0.1], [0, 0.1, 5]])
+    Q = np.diag([1, 1, 1, time**2, time**2, time**2])
+    law = SdreSampled.create(MrpModel.create(J), 0.3 * time, Q=Q, R=R * time**4 / size**2)
+    with jax.enable_x64(True):
+        y = jax.numpy.asarray(law.model.target())
+        state, u = law.step(law.init(), y, y)
+    assert int(state.failures) == 0
+    scale = np.repeat([1.0, 1 / time], 3)
+    found, expected = np.asarray(state.gain) * scale, law.gain * scale
+    assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
+    assert not np.asarray(u).any()
