@@ -262,9 +262,12 @@ def export(options: argparse.Namespace) -> int:
     from synth.delivery.acceptance import accept
     from synth.delivery.files import made
     from synth.delivery.formats import export as write
+    from synth.delivery.leaving import PYTHON
     from synth.delivery.rounding import PRECISIONS
 
     file = options.files[0]
+    if Path(file).suffix == ".py":
+        raise ModelError(f"{file}: {PYTHON}")
     item = predictive(file) or load(file)
     if isinstance(item, GeneralizedPlant):
         raise ModelError(f"{file}: this is a plant; pass a design or a controller")

@@ -92,6 +92,10 @@ OWN = Row(
     "write its step in C by hand and replay a Run's y and u with it; or export what is linear near the target: a "
     "LinearController, state_feedback, a StateSpace (A, B, C, D, dt)",
 )
+PYTHON = (
+    "this is a program; `synth export` reads designs and linear controllers (.json, .mat). A controller that lives in "
+    "Python, such as Sdre, leaves from there: synth.export(controller, 'c', folder)"
+)
 OVERRIDDEN = Row((), "its class has a step of its own on top of one that leaves", OWN.remedy)
 
 

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from synth.checks import as_limits, as_matrix, as_path, shown
+from synth.delivery.leaving import check_leaves
 from synth.delivery.matfiles import read_mat
 from synth.errors import ModelError
 from synth.files import SEAL, check_seal, json_of, read_json, write_atomically
@@ -182,12 +183,15 @@ def save_system(path: str | os.PathLike[str], model: Model | StateSpace | Genera
 
     Raises
     ------
-    ModelError : the file name ends otherwise, or the model is a controller with limits.
+    ModelError : the file name ends otherwise, the model is none, or a controller with limits.
+    ExportError : a controller that is no linear system; says what to do instead.
     """
     path = as_path("path", path)
     if path.suffix != ".json":
         raise ModelError(f"path ends with {path.suffix!r}; a system is saved as .json")
-    model = Model(model) if isinstance(model, StateSpace) else model
+    if not isinstance(model, Model | GeneralizedPlant):
+        check_leaves(model, "json")
+        model = Model(as_system("model", model))
     if isinstance(model, Model) and model.limited:
         raise ModelError("the controller has limits and anti-windup, which no system has; write it with `export`")
     data: dict[str, Any] = {"format": SYSTEM, "format_version": FORMAT_VERSION}
