@@ -48,17 +48,17 @@ ANGLES = (*(Signal(name, "rad") for name in ("roll", "pitch", "yaw")), *WHEELS)
 LAWS = {
     Sdre: Kind(
         ("doubling", "continuous", "sdre"),
-        ("Q", "R_inverse", "shift"),
+        ("weight_Q", "inverse_R", "usual_rate"),
         "K = R^-1 B'X with A'X + X A - X B R^-1 B'X + Q = 0",
     ),
     SdreSampled: Kind(
         ("solve", "doubling", "sampled"),
-        ("Q", "R", "dt"),
+        ("weight_Q", "weight_R", "dt"),
         "K of the model sampled at y, its command held and the same integral as cost (lqrd)",
     ),
     SdreHinfStatic: Kind(
         ("solve", "doubling", "continuous", "robust"),
-        ("Q", "R_inverse", "shift", "gamma_factor"),
+        ("weight_Q", "inverse_R", "usual_rate", "gamma_factor"),
         "K of Glover and McFarlane's robust controller without its observer",
     ),
 }
@@ -75,7 +75,15 @@ MODELS = {
         Kind(("euler",), ("inertia", "inverse", "angles"), "x = [angles - target; w], 3-2-1 Euler angles"), ANGLES
     ),
 }
-FIELDS = {"least_q0": "floor", "rest_gain": "gain", "rest_X": "X"}  # those of another name in C
+FIELDS = {  # those of another name in C
+    "weight_Q": "Q",
+    "weight_R": "R",
+    "inverse_R": "R_inverse",
+    "usual_rate": "shift",
+    "least_q0": "floor",
+    "rest_gain": "gain",
+    "rest_X": "X",
+}
 UNSOLVED = (
     "the last gain that had a solution is flown and state->failures counts the sample; before the first solution that "
     "is the gain at rest at the target. Where it is a matter of rounding whether there is one, C and Python may differ"
@@ -83,7 +91,7 @@ UNSOLVED = (
 HELD = (
     "Where a measurement or the command is not finite (NaN, infinity, overflow) the step returns 1 and counts a "
     "failure: u is the last command again, gain and solutions stay. The next finite sample goes on from there. Needs "
-    "IEEE arithmetic with NaN: no -ffast-math. The largest arrays on the stack are {stack} kB in all."
+    "IEEE arithmetic with NaN: no -ffast-math. All functions together need at most {stack} kB of stack."
 )
 
 
@@ -176,7 +184,7 @@ def _told(controller: Any, numbers: dict[str, np.ndarray], found: Record, name: 
         "plant": "none; the law was exported without a plant, nothing was verified in a loop",
         "exported by": f"convex-synth {metadata.version('convex-synth')}",
     }  # fmt: skip
-    stack = 20 if isinstance(controller, SdreSampled) else 5
+    stack = 32 if isinstance(controller, SdreSampled) else 16
     return [
         f"{name}: state-dependent Riccati law, double precision, sample time {controller.dt!r} s", "",
         *c.signals("y", inputs), "", *c.signals("u", outputs), "", *c.told(Origin(facts, inputs, outputs)), "",

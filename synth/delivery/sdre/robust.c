@@ -32,10 +32,10 @@ static double spectral_radius(const double *S)
 static int gain_at(memory *state, const double *A, const double *B, double *K)
 {
     double T[N * M], Kb[M * N], AT[NN], G[NN], X[NN], Z[NN], XZ[NN];
-    const equation e = { kleinman, A, G, Q, shift }, dual = { kleinman, AT, Q, G, shift };
+    const equation e = { kleinman, A, G, weight_Q, usual_rate }, dual = { kleinman, AT, weight_Q, G, usual_rate };
     (void)state;
     transposed(T, B, N, M);
-    product(Kb, R_inverse, T, M, M, N);
+    product(Kb, inverse_R, T, M, M, N);
     product(G, B, Kb, N, M, N);
     transposed(AT, A, N, N);
     neighbourhood(&e, X, Z);

@@ -128,13 +128,13 @@ static int gain_at(memory *state, const double *A, const double *B, double *K)
     (void)state;
     const double longest = largest(A, NN) * dt > 1 ? largest(A, NN) * dt : 1;
     const double b = 1 / binary(largest(B, N * M) * dt / longest); /* unit of u */
-    const double costs = largest(Q, NN), commands = b * b * largest(R, M * M);
+    const double costs = largest(weight_Q, NN), commands = b * b * largest(weight_R, M * M);
     const double w = binary((costs > commands ? costs : commands) * dt / longest); /* unit of the cost */
     for (int i = 0; i < N; ++i) { /* [[-M', W], [0, M]] dt with M = [[A, B], [0, 0]] and W = [[Q, 0], [0, R]] */
         for (int j = 0; j < N; ++j) {
             E[j * BIG + i] = -A[i * N + j] * dt;
             E[(ALL + i) * BIG + ALL + j] = A[i * N + j] * dt;
-            E[i * BIG + ALL + j] = Q[i * N + j] / w * dt;
+            E[i * BIG + ALL + j] = weight_Q[i * N + j] / w * dt;
         }
         for (int j = 0; j < M; ++j) {
             E[(N + j) * BIG + i] = -(b * B[i * M + j]) * dt;
@@ -143,7 +143,7 @@ static int gain_at(memory *state, const double *A, const double *B, double *K)
     }
     for (int i = 0; i < M; ++i) {
         for (int j = 0; j < M; ++j) {
-            E[(N + i) * BIG + ALL + N + j] = b * b * R[i * M + j] / w * dt;
+            E[(N + i) * BIG + ALL + N + j] = b * b * weight_R[i * M + j] / w * dt;
         }
     }
     if (!exponential(E)) {

@@ -5,9 +5,9 @@
 static int gain_at(memory *state, const double *A, const double *B, double *K)
 {
     double T[N * M], Kb[M * N], G[NN], X[NN], Z[NN];
-    const equation e = { kleinman, A, G, Q, shift };
+    const equation e = { kleinman, A, G, weight_Q, usual_rate };
     transposed(T, B, N, M);
-    product(Kb, R_inverse, T, M, M, N);
+    product(Kb, inverse_R, T, M, M, N);
     product(G, B, Kb, N, M, N);
     for (int i = 0; i < NN; ++i) {
         X[i] = 2 * state->X[i] - state->before[i];
