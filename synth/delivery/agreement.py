@@ -4,8 +4,9 @@ C and Python take the same steps, but XLA adds in an order of its own and fuses 
 How much that can do depends on the equations. A law whose states and commands are put in another order, with other
 signs, is the same law; its arithmetic rounds otherwise. The recorded samples are flown so `ORDERS` times:
 
-    |u_C - u_Python|_2 <= (2 ACCURACY + FACTOR r) |K|_F |x|_2,    r the largest of |u_order - u|_2 / (|K|_F |x|_2)
+    |u_C - u_Python| <= (2 ACCURACY + FACTOR r) | |K| |x| |,      r the largest of |u_order - u| / | |K| |x| |
 
+The norms are 2-norms, |K| and |x| hold moduli: units of the states do not count.
 ACCURACY is the relative error at which a solution is accepted (`synth.equations.riccati`), by either side. r is
 measured, not proved; FACTOR is for what was not tried.
 """
@@ -36,7 +37,7 @@ class Flight(NamedTuple):
     """What a law did in every sample."""
 
     u: np.ndarray  # (samples, m) N m
-    scale: np.ndarray  # (samples,) N m, |K|_F |x|_2
+    scale: np.ndarray  # (samples,) N m, 2-norm of |K| |x|
     failures: np.ndarray  # (samples,) so far
 
 
@@ -45,7 +46,7 @@ class Record(NamedTuple):
 
     y: np.ndarray  # (samples, p), the last one without a solution
     u: np.ndarray  # (samples, m) N m, as Python commands
-    bound: float  # of |u_C - u_Python|_2 / (|K|_F |x|_2)
+    bound: float  # of |u_C - u_Python| relative to |K| |x|
     rounding: float  # r
     largest: float  # N m, the largest bound of these samples
     rate: float  # rad/s, largest rate about an axis
@@ -86,14 +87,14 @@ def recorded(controller: Any) -> Record:
     if not failed[:, -1].all() or solved.sum() < FEWEST:
         raise ExportError(
             f"the law has a solution at {solved[:-1].sum()} of {len(y) - 1} samples with rates to {rate:.3g} rad/s, "
-            f"and {'none' if failed[:, -1].all() else 'one'} at {NO_SOLUTION:g} times that; there is nothing to compare C with: "
-            "change Q and R, or the model"
+            f"and {'none' if failed[:, -1].all() else 'one'} at {NO_SOLUTION:g} times that; there is "
+            "nothing to compare C with: change Q and R, or the model"
         )
     if not solved[:-1].all():
         y = y[np.append(solved[:-1], True)]
         flights = [flown(controller, y, *order) for order in orders]
     first, *others = flights
-    r = max((np.linalg.norm(other.u - first.u, axis=1) / first.scale)[:-1].max() for other in others)
+    r = max((np.linalg.norm(other.u - first.u, axis=1) / first.scale).max() for other in others)
     bound = 2 * ACCURACY + FACTOR * float(r)
     if not bound <= WORST:
         raise ExportError(
@@ -113,8 +114,8 @@ def flown(controller: Any, y: np.ndarray, x: np.ndarray | None = None, u: np.nda
     with jax.enable_x64(True):
         for now in np.asarray(y, float):
             state, command = law.step(state, now, np.zeros_like(now))
-            size = np.linalg.norm(state.gain) * np.linalg.norm(law.model.factorise(now, law.model.side(now))[0])
-            rows.append((np.asarray(command) @ T["u"], size, int(state.failures)))
+            size = np.abs(state.gain) @ np.abs(law.model.factorise(now, law.model.side(now))[0])
+            rows.append((np.asarray(command) @ T["u"], np.linalg.norm(size), int(state.failures)))
     return Flight(*map(np.array, zip(*rows, strict=True)))
 
 

@@ -197,12 +197,12 @@ def _told(controller: Any, numbers: dict[str, np.ndarray], found: Record, name: 
 def _agreement(found: Record, N: str) -> str:
     """The bound in words."""
     return (
-        f"|u - u of Python| <= {N}_AGREEMENT |K| |x| in the 2-norm and, of K, the Frobenius norm: {found.bound:.3g} = "
+        f"|u - u of Python| <= {N}_AGREEMENT | |K| |x| |, 2-norms and moduli of the entries: {found.bound:.3g} = "
         f"2 x {ACCURACY:g}, the relative error at which either accepts a solution, + {FACTOR} x {found.rounding:.3g}, "
-        f"the most by which commands of {len(found.y) - 1} samples moved, relative to |K| |x|, when Python flew them "
+        f"the most by which commands of {len(found.y)} samples moved, relative to | |K| |x| |, when Python flew them "
         f"again with its states and commands in {ORDERS} other orders, which round otherwise: measured, not proved. "
-        f"They are attitudes all round, rates to {found.rate:.3g} rad/s and momenta to {found.momentum:.3g} N m s "
-        f"about an axis; there the bound is at most {found.largest:.3g} N m"
+        f"The last has no solution; the others are attitudes all round, rates to {found.rate:.3g} rad/s and momenta to "
+        f"{found.momentum:.3g} N m s about an axis, where the bound is at most {found.largest:.3g} N m"
     )
 
 
@@ -244,17 +244,19 @@ def _self_test(numbers: dict[str, np.ndarray], found: Record, name: str) -> str:
     """The recorded samples, and the function that replays them."""
     N, samples = name.upper(), len(found.y)
     u = np.clip(found.u, numbers["umin"], numbers["umax"])
-    near = f"{N}_AGREEMENT * size_of(state.gain, N * M) * size_of(x, N)"
     body = [
         "static const double strange[3] = { NAN, INFINITY, -INFINITY };",
-        f"{name}_state state;", "double y[INPUTS], u[M], off[M], held[M];", "double x[N], A[N * N], B[N * M];",
+        f"{name}_state state;", "double y[INPUTS], u[M], off[M], near[M], held[M];", "double x[N], A[N * N], B[N * M];",
         "uint32_t hash;", "",
         f"{name}_reset(&state);",
         *c.loop("k", str(samples), [
             f"const int fault = {name}_step(&state, trace_y + k * INPUTS, u);",
             "factorise(trace_y + k * INPUTS, x, A, B);",
-            *c.loop("i", "M", ["off[i] = u[i] - trace_u[k * M + i];"]),
-            f"if (fault || !(size_of(off, M) <= {near})) {{", "    return k + 1;", "}",
+            *c.loop("i", "M", [
+                "off[i] = u[i] - trace_u[k * M + i];", "near[i] = 0;",
+                *c.loop("j", "N", ["near[i] += fabs(state.gain[i * N + j] * x[j]);"]),
+            ]),
+            f"if (fault || !(size_of(off, M) <= {N}_AGREEMENT * size_of(near, M))) {{", "    return k + 1;", "}",
         ]),
         "memcpy(y, trace_y, sizeof y);", "memcpy(held, u, sizeof held);",
         *c.loop("k", "3", [
