@@ -82,8 +82,8 @@ def recorded(controller: Any) -> Record:
     sizes = (len(controller.Q), len(controller.gain))
     orders = [(), *(tuple(_signed(rng, size) for size in sizes) for _ in range(ORDERS))]
     flights = [flown(controller, y, *order) for order in orders]
-    failed = np.array([np.diff(flight.failures, prepend=0) > 0 for flight in flights])
-    solved = ~failed.any(axis=0)
+    failed: np.ndarray = np.diff([flight.failures for flight in flights], prepend=0) > 0
+    solved = np.logical_not(failed.any(axis=0))
     if not failed[:, -1].all() or solved.sum() < FEWEST:
         raise ExportError(
             f"the law has a solution at {solved[:-1].sum()} of {len(y) - 1} samples with rates to {rate:.3g} rad/s, "
