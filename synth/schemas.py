@@ -20,13 +20,9 @@ def _is_word(value: Any) -> str:
     return "<word>" if isinstance(value, str) else "<number>"
 
 
-def _end(value: Any) -> str:
-    keys = value if isinstance(value, dict) else ()
-    return "<coupling>" if "shift" in keys else "<fall>" if "v" in keys else "<impulse>"
-
-
 NotNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
+Bits = Annotated[int, Field(ge=53, le=4096)]
 Row = Annotated[list[float], Field(fail_fast=True)]
 Matrix = Annotated[list[Row], Field(fail_fast=True)]
 Entries = Annotated[list[Annotated[list[Any], Field(fail_fast=True)]], Field(fail_fast=True)]
@@ -186,90 +182,6 @@ class ControllerFile(SystemFile):
     umax: Limits | None = None
 
 
-class UpperWitness(Record):
-    """See `synth.proof.balls`."""
-
-    T: Matrix
-    U: Matrix
-    rest: Matrix = []  # not in version 1, as below
-    factor: Matrix
-    rate: float
-
-
-class Step(Record):
-    """See `synth.proof.balls`."""
-
-    F: Matrix
-    X: Matrix
-    rest: Matrix = []
-    before: Matrix
-    after: Matrix
-
-
-class Coupling(Record):
-    """See `synth.proof.balls`."""
-
-    v: Row
-    shift: float
-    factor: Matrix
-
-
-class Fall(Record):
-    """See `synth.proof.balls`."""
-
-    v: Row
-    dual: bool
-
-
-class Impulse(Record):
-    """See `synth.proof.balls`."""
-
-    w: Row
-    dual: bool
-    factor: Matrix
-
-
-class LowerWitness(Record):
-    """See `synth.proof.balls`."""
-
-    T: Matrix
-    w: float
-    z: float
-    rate: float
-    control: Annotated[list[Step], Field(fail_fast=True)]
-    estimation: Annotated[list[Step], Field(fail_fast=True)]
-    end: Annotated[
-        Annotated[Coupling, Tag("<coupling>")] | Annotated[Fall, Tag("<fall>")] | Annotated[Impulse, Tag("<impulse>")],
-        Discriminator(_end),
-    ]
-    doubled: Annotated[list[Annotated[int, Field(ge=0, le=64)]], Field(min_length=2, max_length=2)] = [0, 0]
-
-
-class Certificate(Record):
-    """`synth.proof.certify`, format version 1."""
-
-    format: Literal["convex-synth certificate"]
-    format_version: int
-    statement: str = ""
-    lower: float
-    upper: float
-    bits: Annotated[int, Field(ge=53, le=4096)]
-    plant_sha256: str
-    controller_sha256: str
-    seconds: float
-    note: str
-    upper_witness: UpperWitness
-    lower_witness: LowerWitness | None
-
-
-class SealedCertificate(Certificate):
-    """Format version 2, which can be proved from its file alone."""
-
-    plant: Plant
-    controller: TimedSystem
-    sha256: str
-
-
 class Parameter(Record):
     """See `synth.systems.parameters`."""
 
@@ -325,7 +237,7 @@ class BoxCertificate(Record):
     reached: float | None
     point: dict[str, float]
     w: NotNegative
-    bits: Annotated[int, Field(ge=53, le=4096)]
+    bits: Bits
     system: UncertainSystem
     edges: Annotated[list[Positive], Field(min_length=2, max_length=1000, fail_fast=True)]
     script: Annotated[list[str], Field(fail_fast=True)]

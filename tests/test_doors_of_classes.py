@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_doors import CONTINUOUS, SAMPLED, UNCERTAIN, WEIGHTED, refusal
+from test_doors import CONTINUOUS, HELD, SAMPLED, UNCERTAIN, WEIGHTED, refusal
 from wrong import WRONG
 
 import synth
@@ -83,7 +83,10 @@ RIGHT: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "Disc": (synth.Disc, {"centre": -1.0, "radius": 0.5}),
     "H2 <= level": (lambda level: synth.H2() <= level, {"level": 2.0}),
     "Design.save": (shaped().save, {"path": "design.json"}),
-    "Design.certify": (shaped().certify, {"lower": None, "upper": None}),
+    "Design.certify": (
+        synth.hinfsyn(synth.c2d(synth.GeneralizedPlant.partition(HELD, 1, 1), 0.5)).certify,
+        {"lower": None, "upper": None, "intersample": None, "delay": 0.0},
+    ),
 }  # fmt: skip
 READERS = {
     "Design.load": synth.Design.load,

@@ -47,7 +47,8 @@ def certify(options: argparse.Namespace, load: Load) -> tuple[dict[str, Any], st
     target = Path(options.output) if options.output else Path(file).with_suffix(SUFFIX)
     check_target(target, "a certificate", (".json",), force=options.force)
     bits = BITS if options.bits is None else options.bits
-    found = prove(of_design(file, load), lower=options.lower, upper=options.upper, bits=bits)
+    levels = {name: getattr(options, name) for name in ("lower", "upper", "intersample")}
+    found = prove(of_design(file, load), **levels, delay=options.delay, bits=bits)
     found.save(target)
     note = f"\n  no lower bound was proved: {found.note}" if found.note else ""
     data = {"file": str(target), **facts(found), "note": found.note}
@@ -150,6 +151,7 @@ def facts(certificate: Certificate | BoxCertificate) -> dict[str, Any]:
         "upper": certificate.upper,
         "lower": certificate.lower or None,
         "gap": certificate.gap,
+        **({"intersample": certificate.intersample.upper} if certificate.intersample else {}),
         "bits": certificate.bits,
         "plant_sha256": certificate.plant_sha256,
         "controller_sha256": certificate.controller_sha256,
@@ -165,6 +167,7 @@ def text(certificate: Certificate | BoxCertificate) -> str:
         (
             f"  the controller stabilises the plant with an H-infinity norm below {certificate.upper!r}",
             f"  {lower if certificate.lower_witness else 'nothing is claimed about other controllers'}",
+            *([f"  {certificate.intersample.statement}"] if certificate.intersample else []),
             f"  in {certificate.bits}-bit ball arithmetic, all data taken as exact doubles",
             f"  plant       {certificate.plant_sha256}",
             f"  controller  {certificate.controller_sha256}",

@@ -167,6 +167,17 @@ class Lifting:
         sizes = [np.linalg.norm(M) for M in (P.B1, P.C1, P.D11, P.D12)]
         return WIDE * float(np.exp2(np.ceil(np.log2(1 + sizes[0] * sizes[1] * (1 + self.h) + max(sizes)))))
 
+    def units(self, level: float) -> np.ndarray:
+        """Powers of two, (k + m,), that make the held w and u count as much over a period as the states do."""
+        P, held = self.plant, list(self.held)
+        rate = float(np.linalg.norm(P.A)) + 1 / self.h
+        B, D = np.hstack([P.B1[:, held], P.B2]), np.hstack([P.D11[:, held], P.D12])
+        with np.errstate(divide="ignore"):
+            sizes = rate / np.linalg.norm(B, axis=0), np.sqrt(rate * level) / np.linalg.norm(D, axis=0)
+        found = np.minimum(*sizes)
+        found[~np.isfinite(found)] = 1.0
+        return np.exp2(np.round(np.log2(found)))
+
     def at(self, level: float) -> tuple[GeneralizedPlant, Period] | None:
         """The discrete plant that has a level below one exactly when this plant has one below `level`, and its period.
 
@@ -180,7 +191,7 @@ class Lifting:
         root, late = np.sqrt(level), self.delay > 0
         B, C, D = P.B1[:, free] / root, P.C1 / root, P.D11[:, free] / level
         Bv, Dv = np.hstack([P.B1[:, held], P.B2]), np.hstack([P.D11[:, held], P.D12]) / root
-        unit = _units(P.A, C, Bv, Dv, h)
+        unit = self.units(level)
         old, new = Matrices(P.A, Bv * unit, C, Dv * unit), len(held) + np.arange(m)
         whole = None
         for acts, time in [(False, self.delay)] * late + [(True, h - self.delay)] * (self.delay < h):
@@ -220,15 +231,6 @@ class Lifting:
             D22=O((ny, m)) if late else P.D22,
             dt=self.h, u=P.u, y=P.y,
         )  # fmt: skip
-
-
-def _units(A: np.ndarray, C: np.ndarray, B: np.ndarray, D: np.ndarray, h: float) -> np.ndarray:
-    """Powers of two, (m,), that make constants of a period count as much as the states do."""
-    rate = float(np.linalg.norm(A)) + 1 / h
-    with np.errstate(divide="ignore"):
-        found = np.minimum(rate / np.linalg.norm(B, axis=0), np.sqrt(rate) / np.linalg.norm(D, axis=0))
-    found[~np.isfinite(found)] = 1.0
-    return np.exp2(np.round(np.log2(found)))
 
 
 def _extended(

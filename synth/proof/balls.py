@@ -49,7 +49,7 @@ Arb.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import NamedTuple
@@ -71,6 +71,8 @@ from synth.proof.matrices import (
 )
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace, common_timebase
+
+NINE = ("A", "B1", "B2", "C1", "D11", "D12", "C2", "D21", "D22")  # matrices of a plant
 
 
 class Balls(NamedTuple):
@@ -161,13 +163,22 @@ def proves_upper(P: GeneralizedPlant, K: StateSpace, witness: UpperWitness, leve
         return False
     with ctx.workprec(bits):
         try:
-            M = contraction(closed_loop(P, K, witness.rate), exact(witness.T) * exact(witness.U), level)
-            E = symmetric(witness.rest)
-            left = dissipated(M, E)
+            return contracts(closed_loop(P, K, witness.rate), witness, level)
         except (ZeroDivisionError, ValueError):  # a matrix that could be singular, shapes of another system
             return False
-        ours = witness.rest.shape == witness.T.shape and bool(arb(level) > 0)
-        return ours and is_small(E) and is_positive_definite(left, witness.factor)
+
+
+def contracts(G: Balls, witness: UpperWitness, level: float) -> bool:
+    """True when a discrete system is proved stable with an H-infinity norm below `level`.
+
+    Raises
+    ------
+    ZeroDivisionError, ValueError : a matrix that could be singular, shapes of another system.
+    """
+    M = contraction(G, exact(witness.T) * exact(witness.U), level)
+    E = symmetric(witness.rest)
+    ours = witness.rest.shape == witness.T.shape and bool(arb(level) > 0)
+    return ours and is_small(E) and is_positive_definite(dissipated(M, E), witness.factor)
 
 
 def proves_lower(P: GeneralizedPlant, witness: LowerWitness, level: float, bits: int) -> bool:
@@ -297,16 +308,18 @@ def in_coordinates(P: GeneralizedPlant, T: np.ndarray, w: float, z: float, rate:
 def closed_loop(P: GeneralizedPlant, K: StateSpace, rate: float) -> Balls:
     """P closed by u = K y, from w to z; mapped to discrete time when `rate` is not zero."""
     common_timebase(P.system, K)
-    B1, B2, C1, C2 = (exact(M) for M in (P.B1, P.B2, P.C1, P.C2))
-    D11, D12, D21, D22 = (exact(M) for M in (P.D11, P.D12, P.D21, P.D22))
-    k = in_balls(K)
+    return mapped(closed({name: exact(getattr(P, name)) for name in NINE}, K), P.dt, rate)
+
+
+def closed(P: Mapping[str, arb_mat], K: StateSpace) -> Balls:
+    """A plant in balls, its nine matrices by name, closed by u = K y."""
+    D12, D22, k = P["D12"], P["D22"], in_balls(K)
     E = identity(K.ny) - k.D * D22
     # u = E^-1 (Dk C2 x + Ck xk + Dk D21 w), y = C2 x + D21 w + D22 u
-    Ux, Uk, Uw = E.solve(k.D * C2), E.solve(k.C), E.solve(k.D * D21)
-    A = [[exact(P.A) + B2 * Ux, B2 * Uk], [k.B * (C2 + D22 * Ux), k.A + k.B * D22 * Uk]]
-    B = [[B1 + B2 * Uw], [k.B * (D21 + D22 * Uw)]]
-    C, D = [[C1 + D12 * Ux, D12 * Uk]], D11 + D12 * Uw
-    return mapped(Balls(block(A), block(B), block(C), D), P.dt, rate)
+    Ux, Uk, Uw = E.solve(k.D * P["C2"]), E.solve(k.C), E.solve(k.D * P["D21"])
+    A = [[P["A"] + P["B2"] * Ux, P["B2"] * Uk], [k.B * (P["C2"] + D22 * Ux), k.A + k.B * D22 * Uk]]
+    B = [[P["B1"] + P["B2"] * Uw], [k.B * (P["D21"] + D22 * Uw)]]
+    return Balls(block(A), block(B), block([[P["C1"] + D12 * Ux, D12 * Uk]]), P["D11"] + D12 * Uw)
 
 
 def mapped(G: Balls, dt: float, rate: float) -> Balls:

@@ -6,6 +6,8 @@ are proved in ball arithmetic (`balls`), the plant's and the controller's data t
     upper   the controller stabilises the plant and the norm is below this
     lower   no controller of any order reaches a norm below this
 
+and of a sampled plant that remembers the continuous one a third (`intersample`): the norm between the samples too.
+
 Witnesses are found in floating-point arithmetic (`upper`, `lower`), which needs no rigour. The certificate holds them
 to the last bit, and the plant and the controller too, so that both bounds can be proved again from its file alone, in
 ball arithmetic and without a solver. The file is taken only as it was written, byte for byte of its data.
@@ -22,26 +24,28 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from synth.analysis.norms import judge
+from synth.analysis.sampleddata import is_sample
 from synth.checks import as_number, as_path, as_whole, shown
 from synth.errors import ModelError, VerificationError
 from synth.files import SEAL, read_json, sealed, write_atomically
 from synth.proof import balls
 from synth.proof.balls import Coupling, Fall, Impulse, LowerWitness, Step, UpperWitness
+from synth.proof.intersample import MARGINS, Intersample, prove
 from synth.proof.lower import find_lower
 from synth.proof.upper import find_upper
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace
 
 FORMAT = "convex-synth certificate"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3  # 2 where nothing is said of what is between samples
 BITS = 128
 MORE = 4  # times as many where that is not enough
 MAX_BITS = 4096  # accepted from a file
-NINE = ("A", "B1", "B2", "C1", "D11", "D12", "C2", "D21", "D22", "dt")
+TEN = (*balls.NINE, "dt")
 FOUR = ("A", "B", "C", "D", "dt")
 FACTORS = ("before", "after")  # of a step
 TIGHT = 1e-4  # gap from which on no more bits are tried
-MARGINS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # of the upper bound above the verified norm
 
 
 class Designed(Protocol):
@@ -78,6 +82,7 @@ class Certificate:
     lower_witness: LowerWitness | None
     plant: GeneralizedPlant | None = None  # None in files of version 1
     controller: StateSpace | None = None  # likewise; that which closes the plant, u = K y
+    intersample: Intersample | None = None  # of a sampled plant that remembers the continuous one
 
     @property
     def gap(self) -> float:
@@ -92,6 +97,7 @@ class Certificate:
             f"Proved in {self.bits}-bit ball arithmetic, all data taken as exact doubles: the controller "
             f"stabilises the plant with an H-infinity norm below {self.upper!r}; "
             + (lower if self.lower_witness else f"no lower bound proved ({self.note})")
+            + (f"; {self.intersample.statement}" if self.intersample else "")
         )
 
     @property
@@ -100,7 +106,7 @@ class Certificate:
         return to_dict(self)[SEAL]
 
     def check(self, plant: GeneralizedPlant | None = None, controller: StateSpace | None = None) -> None:
-        """Prove both bounds again, from the witnesses alone.
+        """Prove all bounds again, from the witnesses alone.
 
         Parameters
         ----------
@@ -127,6 +133,15 @@ class Certificate:
                 raise VerificationError(f"the certificate claims a lower bound of {self.lower!r} without a witness")
         elif not balls.proves_lower(plant, self.lower_witness, self.lower, self.bits):
             raise VerificationError(f"the witness does not prove that no controller reaches {self.lower!r}")
+        if self.intersample is None:
+            return
+        origin = plant.continuous
+        if origin is not None and origin.system.digest() != self.intersample.plant.system.digest():
+            raise VerificationError("the certificate is of another continuous plant between the samples")
+        if controller.dt != plant.dt or not self.intersample.is_proved(controller):
+            raise VerificationError(
+                f"the witness does not prove that the norm between the samples is below {self.intersample.upper!r}"
+            )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write to `path`, a ``.json`` file with every bit of the witnesses.
@@ -155,11 +170,15 @@ class Certificate:
 
 def to_dict(certificate: Certificate) -> dict[str, Any]:
     """The certificate as plain data, complete and exact, with a sha256 of all of it."""
-    data = asdict(replace(certificate, plant=None, controller=None))
-    P, K = certificate.plant, certificate.controller
-    data |= {"plant": {name: getattr(P, name) for name in NINE} if P else None}
+    data = asdict(replace(certificate, plant=None, controller=None, intersample=None))
+    P, K, between = certificate.plant, certificate.controller, certificate.intersample
+    del data["intersample"]
+    data |= {"plant": {name: getattr(P, name) for name in TEN} if P else None}
     data |= {"controller": {name: getattr(K, name) for name in FOUR} if K else None}
-    head = {"format": FORMAT, "format_version": FORMAT_VERSION, "statement": certificate.statement}
+    if between:
+        own = {name: value for name, value in vars(between).items() if name != "witness"} | vars(between.witness)
+        data |= {"intersample": own | {"plant": {name: getattr(between.plant, name) for name in TEN}}}
+    head = {"format": FORMAT, "format_version": FORMAT_VERSION if between else 2, "statement": certificate.statement}
     return sealed(json.loads(_text({**head, **data})))
 
 
@@ -174,12 +193,13 @@ def from_dict(data: Any) -> Certificate:
     ------
     ModelError : the data is no certificate, is incomplete, or is not what `to_dict` made.
     """
-    from synth import mistakes, schemas
+    from synth import mistakes
+    from synth.proof import certificateschemas as schemas
 
     version = data.get("format_version") if isinstance(data, dict) and data.get("format") == FORMAT else None
-    if version not in (1, FORMAT_VERSION) or isinstance(version, bool):
+    if type(version) is not int or not 1 <= version <= FORMAT_VERSION:
         raise ModelError(
-            f"the data is no certificate of format 1 or {FORMAT_VERSION}; pass what Certificate.save wrote"
+            f"the data is no certificate of format 1 to {FORMAT_VERSION}; pass what Certificate.save wrote"
         )
     kind = schemas.Certificate if version == 1 else schemas.SealedCertificate
     mistakes.check(kind, data, "the certificate is incomplete or damaged")
@@ -196,10 +216,11 @@ def from_dict(data: Any) -> Certificate:
             lower_witness=_lower_from_dict(data["lower_witness"]) if data["lower_witness"] else None,
             plant=None if version == 1 else GeneralizedPlant(**data["plant"]),
             controller=None if version == 1 else StateSpace(**data["controller"]),
+            intersample=_intersample_from_dict(data["intersample"]) if data.get("intersample") else None,
         )
     except ValueError as error:  # rows of different length
         raise ModelError(f"the certificate is incomplete or damaged: {error}") from None
-    if version == FORMAT_VERSION and _text(to_dict(certificate)) != _text(data):
+    if version != 1 and _text(to_dict(certificate)) != _text(data):
         raise ModelError("the certificate is not as Certificate.save wrote it: something in it was changed")
     return certificate
 
@@ -234,6 +255,19 @@ def _step_from_dict(data: Any) -> Step:
     return Step(as_doubles(data, "F"), X, as_doubles(data, "rest", like=X), *(as_doubles(data, k) for k in FACTORS))
 
 
+def _intersample_from_dict(data: Any) -> Intersample:
+    return Intersample(
+        upper=float(data["upper"]),
+        delay=float(data["delay"]),
+        held=tuple(data["held"]),
+        bits=data["bits"],
+        states=as_doubles(data, "states"),
+        constants=as_doubles(data, "constants", 1),
+        witness=_upper_from_dict(data),
+        plant=GeneralizedPlant(**data["plant"]),
+    )
+
+
 def as_doubles(data: Any, key: str, ndim: int = 2, like: np.ndarray | None = None) -> np.ndarray:
     """A vector or matrix of doubles from a file; zeros `like` another one where version 1 has none."""
     if like is not None and key not in data:
@@ -253,14 +287,23 @@ def _read(path: Path) -> Any:
 
 
 def certify(
-    design: Designed, *, lower: float | None = None, upper: float | None = None, bits: int = BITS
+    design: Designed,
+    *,
+    lower: float | None = None,
+    upper: float | None = None,
+    intersample: float | None = None,
+    delay: float = 0.0,
+    bits: int = BITS,
 ) -> Certificate:
-    """Prove both bounds of an H-infinity design in ball arithmetic.
+    """Prove the bounds of an H-infinity design in ball arithmetic.
 
     Parameters
     ----------
     design : of a discrete or continuous plant; of a loop-shaping design the shaped plant and Ks are certified
     lower, upper : levels to prove; when left out the tightest of a few near the optimum and the verified norm
+    intersample : likewise of the norm between the samples, of a plant that `c2d` sampled and that remembers the
+        continuous one; a w that reaches a sampler is held
+    delay : s from the sample to the new value of the hold, from 0 to the period, which `intersample` takes in
     bits : precision of the ball arithmetic, which is made four times as much where that is not enough
 
     Returns
@@ -271,13 +314,13 @@ def certify(
     Raises
     ------
     ModelError : `design` is none, a level is no positive number, `bits` is not between 53 and 4096, or the plant has no
-        states.
-    VerificationError : the upper bound, or a lower bound that was asked for, was not proved.
+        states; `intersample` or `delay` of a plant that remembers no continuous one.
+    VerificationError : an upper bound, or a lower bound that was asked for, was not proved.
 
     References
     ----------
     Rump (2006), BIT 46, 433; Lanzon, Feng, Anderson and Rotkowitz (2008), IEEE TAC 53, 2280; the proofs are in
-    `synth.proof.balls`.
+    `synth.proof.balls` and `synth.proof.intersample`.
     """
     started = time.perf_counter()
     if not all(hasattr(design, name) for name in ("plant", "gamma", "closing")):
@@ -286,12 +329,16 @@ def certify(
         lower = as_number("lower", lower, "a positive level to prove that nothing reaches it", above=0)
     if upper is not None:
         upper = as_number("upper", upper, "a positive level to prove the controller below", above=0)
+    if intersample is not None:
+        intersample = as_number("intersample", intersample, "a positive level to prove between the samples", above=0)
     bits = as_whole("bits", bits, f"a precision from 53 to {MAX_BITS}", least=53, most=MAX_BITS)
     precisions = (bits, min(MORE * bits, MAX_BITS))
     P, K = design.plant, design.closing
     if not len(P.A):
         raise ModelError("the plant has no states, and its optimum is in closed form; certify proves levels of loops")
-    levels = [upper] if upper is not None else [design.gamma * (1 + m) for m in MARGINS]
+    between = _between(P, K, intersample, delay, precisions)
+    norm = design.gamma if between is None else judge(P, K)[1].norm  # of `sdhinfsyn` gamma is that between the samples
+    levels = [upper] if upper is not None else [norm * (1 + m) for m in MARGINS]
     attempts = ((g, b, find_upper(P, K, g, b)) for g in levels for b in precisions)
     above = next(((g, b, found) for g, b, found in attempts if found), None)
     if above is None:
@@ -319,7 +366,23 @@ def certify(
         lower_witness=below[1] if below else None,
         plant=P,
         controller=K,
+        intersample=between,
     )
     if below and above[1] != used:  # one of them was proved with fewer bits
         certificate.check()
     return certificate
+
+
+def _between(
+    P: GeneralizedPlant, K: StateSpace, level: float | None, delay: float, precisions: tuple[int, ...]
+) -> Intersample | None:
+    """What is proved between the samples, None where nothing is known of them."""
+    origin = P.continuous
+    if origin is None or not is_sample(P, origin):
+        if level is not None or delay != 0:
+            raise ModelError(
+                "intersample and delay are about a plant that remembers what c2d sampled, and this one does not: "
+                "design for c2d(P, h) of the continuous GeneralizedPlant P"
+            )
+        return None
+    return prove(origin, K, delay, [] if level is None else [level], precisions)

@@ -107,3 +107,31 @@ def reduced(M: arb_mat, n: int) -> tuple[np.ndarray, np.ndarray]:
     K = -np.linalg.solve(m[n:, n:], m[n:, :n])
     I = exact(np.vstack([np.eye(n), K]))
     return rounded(I.transpose() * M * I), K
+
+
+def cholesky(M: arb_mat) -> arb_mat:
+    """Lower triangular L with L L' = M, which proves M positive definite; by halves.
+
+    Raises
+    ------
+    ValueError, ZeroDivisionError : that is not proved.
+    """
+    n = M.nrows()
+    if n < 2:
+        if n and not M[0, 0] > 0:
+            raise ValueError("the matrix is not proved positive definite")
+        return arb_mat(n, n, [e.sqrt() for e in M.entries()])
+    first, second = range(n // 2), range(n // 2, n)
+    A, B, C = (
+        cholesky(rows(columns(M, first), first)),
+        rows(columns(M, first), second),
+        rows(columns(M, second), second),
+    )
+    L = A.solve(B.transpose()).transpose()
+    return block([[A, arb_mat(n // 2, n - n // 2)], [L, cholesky(C - L * L.transpose())]])
+
+
+def row_sum(M: arb_mat) -> arb:
+    """The largest row sum, a norm."""
+    sums = [sum((abs(e) for e in row), arb(0)).abs_upper() for row in M.table()]
+    return max(sums, default=arb(0))

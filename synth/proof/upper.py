@@ -35,14 +35,18 @@ FAILURES = (SynthError, np.linalg.LinAlgError, ArithmeticError, ValueError)  # o
 def find_upper(P: GeneralizedPlant, K: StateSpace, level: float, bits: int) -> UpperWitness | None:
     """Coordinates that prove a norm below `level`, or None when none were found."""
     with np.errstate(all="ignore"), ctx.workprec(bits):
-        for rate in rates(P.dt, pole_rate(_poles(P.close(K)))):
-            for witness in _contractions(P, K, level, rate):
+        for rate in rates(P.dt, pole_rate(continuous_poles(P.close(K)))):
+            try:
+                G = balls.closed_loop(P, K, rate)
+            except FAILURES:
+                continue
+            for witness in contractions(G, level, rate):
                 if balls.proves_upper(P, K, witness, level, bits):
                     return witness
     return None
 
 
-def _poles(G: StateSpace) -> np.ndarray:
+def continuous_poles(G: StateSpace) -> np.ndarray:
     """Poles in rad/s, of a discrete system those it has in continuous time."""
     poles = G.poles()
     return 2 / G.dt * (poles - 1) / (poles + 1) if G.discrete else poles
@@ -56,11 +60,10 @@ def rates(dt: float, natural: float) -> tuple[float, ...]:
     return (0.0,) if own else (natural, 0.0)
 
 
-def _contractions(P: GeneralizedPlant, K: StateSpace, level: float, rate: float) -> Iterator[UpperWitness]:
-    """Coordinates in which one step of the closed loop should contract."""
+def contractions(G: balls.Balls, level: float, rate: float) -> Iterator[UpperWitness]:
+    """Coordinates in which one step of a closed loop, mapped at `rate`, should contract."""
     for added, strictness in product(OUTPUT, STRICTNESS):
         try:
-            G = balls.closed_loop(P, K, rate)
             T = _contracting(G, level, added)
             witness = None if T is None else _refined_contraction(G, T, level, strictness)
         except FAILURES:

@@ -241,21 +241,18 @@ class Design:
             )
         return LinearController.of(self.controller)
 
-    def certify(self, *, lower: float | None = None, upper: float | None = None) -> Certificate:
-        """Prove both bounds of the norm in ball arithmetic; see `synth.proof.certify.certify`.
-
-        Raises
-        ------
-        ModelError : a design by `sdhinfsyn`, of whose norm the samples are a part only.
-        """
-        if self.info.method == SAMPLED:
-            raise ModelError(
-                "the design's gamma is the norm between the samples, which cannot be proved yet; prove that of the "
-                "samples: hinfsyn(plant) or certify a design that has it"
-            )
+    def certify(
+        self,
+        *,
+        lower: float | None = None,
+        upper: float | None = None,
+        intersample: float | None = None,
+        delay: float = 0.0,
+    ) -> Certificate:
+        """Prove the bounds of the norm in ball arithmetic; see `synth.proof.certify.certify`."""
         from synth.proof.certify import certify
 
-        return certify(self, lower=lower, upper=upper)
+        return certify(self, lower=lower, upper=upper, intersample=intersample, delay=delay)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Design:

@@ -187,25 +187,33 @@ def state_scales(G: Matrices) -> np.ndarray:
 
 
 def in_principal_axes(G: Matrices) -> Matrices:
-    """The same system in good coordinates, whatever those given: turned and balanced in turns while that halves it.
+    """The same system in good coordinates, whatever those given; see `principal_axes`."""
+    return principal_axes(G)[0]
+
+
+def principal_axes(G: Matrices) -> tuple[Matrices, np.ndarray]:
+    """The system turned and balanced in turns while that halves it, and T (n, n) with x = T x_new.
 
     Powers of two do not see through a turn. Its axes are those of the state transform that would make M = A A' + B B'
     and N = A'A + C'C equal and diagonal, the geometric mean of M and N^-1; what rounding takes is that of a turn.
 
     Reference: Bhatia (2007), Positive Definite Matrices, chapter 4 (geometric mean).
     """
-    G = balanced(G)
+    scales = state_scales(G)
+    G, T = rescaled(G, scales), np.diag(scales)
     if not len(G.A):
-        return G
+        return G, T
     rate = _fastest(G.A)
     with np.errstate(all="ignore"):
         while 0 < _size(G, rate) < np.inf:
             Q = _principal_axes(G, rate)
-            turned = balanced(Matrices(Q.T @ G.A @ Q, Q.T @ G.B, G.C @ Q, G.D))
+            turned = Matrices(Q.T @ G.A @ Q, Q.T @ G.B, G.C @ Q, G.D)
+            scales = state_scales(turned)
+            turned = rescaled(turned, scales)
             if not _size(turned, rate) < HALF * _size(G, rate):
                 break
-            G = turned
-    return G
+            G, T = turned, T @ Q * scales
+    return G, T
 
 
 def _principal_axes(G: Matrices, rate: float) -> np.ndarray:

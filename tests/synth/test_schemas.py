@@ -16,6 +16,7 @@ from synth.delivery.acceptance import Requirements
 from synth.delivery.modelfiles import read
 from synth.errors import MOST, ModelError
 from synth.files import sealed_by_parts
+from synth.proof import certificateschemas
 from synth.synthesis.design import Design, to_dict
 from synth.synthesis.hinfinity import METHODS, hinfsyn
 from synth.synthesis.info import Info
@@ -23,7 +24,8 @@ from synth.synthesis.loopshaping import METHODS as SHAPING_METHODS
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.statespace import StateSpace
 
-KINDS = [k for k in vars(schemas).values() if isinstance(k, type) and issubclass(k, mistakes.Record)]
+DECLARED = [*vars(schemas).values(), *vars(certificateschemas).values()]
+KINDS = [*dict.fromkeys(k for k in DECLARED if isinstance(k, type) and issubclass(k, mistakes.Record))]
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,8 @@ from synth.__main__ import main
 from synth.proof.certify import Certificate
 from synth.synthesis.hinfinity import hinfsyn
 from synth.systems.generalized import GeneralizedPlant
-from synth.systems.statespace import StateSpace
+from synth.systems.sampled import c2d
+from synth.systems.statespace import StateSpace, system
 
 DATA = Path(__file__).parents[2] / "data"
 
@@ -58,6 +59,28 @@ def test_a_certificate_is_written_and_proved_again_from_its_file_alone(synth, fo
     assert out.rstrip().endswith("proved again")
     for said in (certificate.upper, certificate.lower, certificate.plant_sha256, certificate.controller_sha256):
         assert str(said) in out
+
+
+def test_what_is_between_the_samples_is_proved_too(synth, folder, tmp_path):
+    P = GeneralizedPlant.four_block(system([1.0], [1.0, 0.2, 1.0]), Wdist=1, Wnoise=1, Wout=1, Wact=1)
+    hinfsyn(c2d(P, 0.3)).save(folder / "sampled.json")
+    target = str(tmp_path / "c.json")
+    code, out, _ = synth("certify", "sampled.json", "-o", target, "--delay", "0.1")
+    level = Certificate.load(target).intersample.upper
+    assert code == 0
+    assert f"below {level!r} between the samples too" in out
+    assert "u 0.1 s after the sample" in out
+    assert synth("verify", target)[0] == 0
+    assert synth("verify", target, "--design", "sampled.json")[0] == 0
+    code, out, _ = synth("info", target, "--json")
+    assert json.loads(out)[0]["intersample"] == level
+    lower = ["--delay", "0.1", "--intersample", str(level * (1 - 1e-5))]
+    code, _, error = synth("certify", "sampled.json", "-o", target, "--force", *lower)
+    assert code == 1
+    assert "between the samples" in error
+    code, _, error = synth("certify", "design.json", "-o", target, "--force", "--delay", "0.1")
+    assert code == 2
+    assert "remembers what c2d sampled" in error
 
 
 def test_what_is_asked_for_is_proved_or_refused(synth, tmp_path):
