@@ -122,9 +122,7 @@ def make_parser() -> argparse.ArgumentParser:
     certify.add_argument("--lower", type=float, metavar="X", help="level to prove that no controller reaches it")
     certify.add_argument("--upper", type=float, metavar="X", help="level to prove the controller below")
     certify.add_argument("--intersample", type=float, metavar="X", help="level to prove between the samples")
-    certify.add_argument(
-        "--delay", type=float, default=0.0, metavar="S", help="from sample to hold, taken in between them"
-    )
+    certify.add_argument("--delay", type=float, metavar="S", help="from sample to hold, taken in between them")
     certify.add_argument("--bits", type=int, metavar="N", help="precision to begin with (default 128)")
     certify.add_argument("--force", action="store_true", help="replace a file that exists")
 

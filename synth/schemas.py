@@ -74,6 +74,8 @@ class NamedPlant(Plant):
     y: Names = []
     units: dict[str, str] = {}
     continuous: NamedPlant | None = None  # that it was sampled from
+    delay: NotNegative = 0.0
+    held: Names = []
 
 
 class Info(Record):

@@ -315,7 +315,7 @@ RIGHT: dict[str, dict[str, Any]] = {
     "rounding": {"controller": SAMPLED, "inputs": 1.0, "precision": "float32", "plant": -0.1, "commands": 1.0,
                  "umin": -1.0, "umax": 1.0, "antiwindup": None},
     "series": {"G": CONTINUOUS, "H": CONTINUOUS},
-    "sdhinfsyn": {"P": HELD, "h": DT, "nmeas": 1, "ncon": 1, "tol": 1e-3},
+    "sdhinfsyn": {"P": HELD, "h": DT, "nmeas": 1, "ncon": 1, "delay": 0.1, "held": None, "tol": 1e-3},
     **{
         name: {"P": HELD, "K": SAMPLED, "h": None, "delay": 0.1, "held": None} | more
         for name, more in (("sdh2norm", {}), ("sdhinfnorm", {"tol": 1e-6}))

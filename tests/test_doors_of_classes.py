@@ -85,7 +85,7 @@ RIGHT: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "Design.save": (shaped().save, {"path": "design.json"}),
     "Design.certify": (
         synth.hinfsyn(synth.c2d(synth.GeneralizedPlant.partition(HELD, 1, 1), 0.5)).certify,
-        {"lower": None, "upper": None, "intersample": None, "delay": 0.0},
+        {"lower": None, "upper": None, "intersample": None, "delay": None},
     ),
 }  # fmt: skip
 READERS = {

@@ -23,7 +23,7 @@ from synth.analysis.norms import is_stable, spectral_radius, verify
 from synth.checks import as_sign
 from synth.equations.doubling import Riccati, is_nonnegative, is_positive, solve_riccati
 from synth.errors import NumericalError
-from synth.systems.generalized import GeneralizedPlant
+from synth.systems.generalized import GeneralizedPlant, remembering
 from synth.systems.sampled import loop_rate, on_circle
 from synth.systems.statespace import StateSpace, as_system, as_systems, check_loop
 
@@ -76,7 +76,7 @@ def gang_of_four(G: Any) -> GeneralizedPlant:
     """
     G = as_system("G", G)
     p, m, I, O = G.ny, G.nu, np.eye, np.zeros
-    return GeneralizedPlant(
+    plant = GeneralizedPlant(
         A=G.A,
         B1=np.hstack([O((G.n, p)), G.B]),
         B2=G.B,
@@ -90,6 +90,7 @@ def gang_of_four(G: Any) -> GeneralizedPlant:
         w=(*(f"output disturbance {i}" for i in range(p)), *(f"input disturbance {i}" for i in range(m))),
         z=(*(f"output {i}" for i in range(p)), *(f"input {i}" for i in range(m))),
     )
+    return remembering(plant, G, gang_of_four)
 
 
 def transpose(G: StateSpace) -> StateSpace:

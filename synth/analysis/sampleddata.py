@@ -24,6 +24,8 @@ from synth.analysis.norms import h2norm, is_stable, verify
 from synth.checks import as_indices, as_number, check_period, numerical, timebase_told
 from synth.equations.lifting import Lifting
 from synth.errors import ModelError, NumericalError, SynthError, VerificationError
+from synth.systems.connect import delayed
+from synth.systems.delays import as_late
 from synth.systems.generalized import GeneralizedPlant
 from synth.systems.sampled import c2d
 from synth.systems.statespace import StateSpace, as_system
@@ -127,8 +129,8 @@ def sampled_loop(P: Any, K: Any, h: float | None, delay: float, held: Any) -> tu
     return lifted(P, h, delay, held), K
 
 
-def lifted(P: GeneralizedPlant, h: float, delay: float, held: Any) -> Lifting:
-    """A continuous plant over a period, checked; `held` as of `sdhinfnorm`, or "all" for what reaches a sampler."""
+def lifted(P: GeneralizedPlant, h: float, delay: float, held: Any, *, noisy: bool = False) -> Lifting:
+    """A continuous plant over a period, checked; `held` as of `sdhinfnorm`, noisy: and all that reach a sampler."""
     if P.dt:
         raise ModelError(
             f"P is discrete ({timebase_told(P.dt)}); pass the continuous plant, nothing is between samples"
@@ -137,9 +139,7 @@ def lifted(P: GeneralizedPlant, h: float, delay: float, held: Any) -> Lifting:
     if delay > h:
         raise ModelError(f"delay is {delay:g} s, more than the period of {h:g} s; put whole samples of it into K")
     sampled = np.flatnonzero(P.D21.any(axis=0)).tolist()
-    if isinstance(held, str) and held == "all":
-        return Lifting.of(P, h, delay, tuple(sampled))
-    alone = [j for j in sampled if not P.B1[:, j].any() and not P.D11[:, j].any()]
+    alone = [j for j in sampled if noisy or (not P.B1[:, j].any() and not P.D11[:, j].any())]
     named = [] if held is None else as_indices("held w", held, P.w)
     if free := sorted({*sampled} - {*alone, *named}):
         names = ", ".join(repr(P.w[j]) for j in free)
@@ -154,26 +154,47 @@ def lifted(P: GeneralizedPlant, h: float, delay: float, held: Any) -> Lifting:
 def intersample(P: GeneralizedPlant, K: StateSpace, delay: float = 0.0) -> SampledNorm | None:
     """Bounds of the norm that a controller of a sampled plant has between the samples, a w that reaches y held.
 
-    None where the plant remembers no continuous one, or has been changed since, and where it cannot be told.
+    None where the plant remembers no continuous one, or has been changed since, and where it cannot be told. `delay` is
+    that of the hold in s beside the plant's.
+    """
+    try:
+        found = remembered(P, P.delay + delay)
+        return None if found is None else bounds(found[0], late(K, found[1]), TOLERANCE)
+    except (SynthError, np.linalg.LinAlgError):
+        return None
+
+
+def remembered(P: GeneralizedPlant, delay: float) -> tuple[Lifting, int] | None:
+    """What `c2d` sampled, over a period, for a hold that takes a new u `delay` s after the sample; and whole samples.
+
+    None where the plant remembers no continuous one, or has been changed since.
     """
     if P.continuous is None or not is_sample(P, P.continuous):
         return None
-    try:
-        return bounds(lifted(P.continuous, P.dt, delay, "all"), K, TOLERANCE)
-    except (SynthError, np.linalg.LinAlgError):
-        return None
+    lag = as_late("delay", delay, 1, P.dt)
+    return lifted(P.continuous, P.dt, float(lag.part[0]) * P.dt, P.held, noisy=True), int(lag.whole[0])
+
+
+def late(K: StateSpace, samples: int) -> StateSpace:
+    """A controller whose u comes so many samples later."""
+    for _ in range(samples):
+        K = delayed(K)
+    return K
 
 
 def is_sample(P: GeneralizedPlant, origin: GeneralizedPlant) -> bool:
     """Whether a discrete plant is what `c2d` makes of a continuous one, to rounding."""
-    if P.dt is True or P.sizes != origin.sizes:
+    _, nw, nu, *others = origin.sizes
+    if P.dt is True or P.sizes[1:] != (nw, nu, *others):
         return False
     try:
-        ours, theirs = P.system, c2d(origin, P.dt).system
+        ours, theirs = P.system, c2d(origin, P.dt, delay=np.repeat([0.0, P.delay], [nw, nu])).system
     except (SynthError, np.linalg.LinAlgError):
         return False
     pairs = [(getattr(ours, name), getattr(theirs, name)) for name in "ABCD"]
-    return all(np.abs(M - N).max(initial=0.0) <= SAME * np.abs(N).max(initial=0.0) for M, N in pairs)
+    return ours.n == theirs.n and all(
+        np.abs(M - N).max(initial=0.0) <= SAME * np.abs(N).max(initial=0.0) for M, N in pairs
+    )
 
 
 def wide(lifting: Lifting) -> tuple[GeneralizedPlant, float]:

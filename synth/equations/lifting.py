@@ -141,6 +141,7 @@ class Lifting:
     h: float  # s
     delay: float  # s, from 0 to h: when after the sample the hold takes the new u
     held: tuple[int, ...]  # those w that are constant over a period; the others are free and have no part in y
+    given: GeneralizedPlant  # the plant in its own coordinates
 
     @classmethod
     def of(cls, plant: GeneralizedPlant, h: float, delay: float, held: tuple[int, ...]) -> Lifting:
@@ -148,7 +149,7 @@ class Lifting:
         A, B, C, _ = in_principal_axes(plant.system.matrices)
         m, p = plant.B1.shape[1], plant.C1.shape[0]
         moved = replace(plant, A=A, B1=B[:, :m], B2=B[:, m:], C1=C[:p], C2=C[p:])
-        return cls(moved, h, delay, held)
+        return cls(moved, h, delay, held, plant)
 
     @property
     def free(self) -> list[int]:

@@ -99,6 +99,7 @@ class Intersample(UpperWitness):
 
     upper: Positive
     delay: NotNegative
+    samples: Annotated[int, Field(ge=0, le=5000)]
     held: Annotated[list[Annotated[int, Field(ge=0, le=10**6)]], Field(fail_fast=True)]
     bits: Bits
     states: Matrix

@@ -25,7 +25,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from synth.analysis.norms import judge
-from synth.analysis.sampleddata import is_sample
+from synth.analysis.sampleddata import remembered
 from synth.checks import as_number, as_path, as_whole, shown
 from synth.errors import ModelError, VerificationError
 from synth.files import SEAL, read_json, sealed, write_atomically
@@ -259,6 +259,7 @@ def _intersample_from_dict(data: Any) -> Intersample:
     return Intersample(
         upper=float(data["upper"]),
         delay=float(data["delay"]),
+        samples=data["samples"],
         held=tuple(data["held"]),
         bits=data["bits"],
         states=as_doubles(data, "states"),
@@ -292,7 +293,7 @@ def certify(
     lower: float | None = None,
     upper: float | None = None,
     intersample: float | None = None,
-    delay: float = 0.0,
+    delay: float | None = None,
     bits: int = BITS,
 ) -> Certificate:
     """Prove the bounds of an H-infinity design in ball arithmetic.
@@ -303,7 +304,8 @@ def certify(
     lower, upper : levels to prove; when left out the tightest of a few near the optimum and the verified norm
     intersample : likewise of the norm between the samples, of a plant that `c2d` sampled and that remembers the
         continuous one; a w that reaches a sampler is held
-    delay : s from the sample to the new value of the hold, from 0 to the period, which `intersample` takes in
+    delay : s from the sample to the new value of the hold, which `intersample` takes in; that of the plant when left
+        out
     bits : precision of the ball arithmetic, which is made four times as much where that is not enough
 
     Returns
@@ -374,15 +376,17 @@ def certify(
 
 
 def _between(
-    P: GeneralizedPlant, K: StateSpace, level: float | None, delay: float, precisions: tuple[int, ...]
+    P: GeneralizedPlant, K: StateSpace, level: float | None, delay: float | None, precisions: tuple[int, ...]
 ) -> Intersample | None:
     """What is proved between the samples, None where nothing is known of them."""
-    origin = P.continuous
-    if origin is None or not is_sample(P, origin):
-        if level is not None or delay != 0:
-            raise ModelError(
-                "intersample and delay are about a plant that remembers what c2d sampled, and this one does not: "
-                "design for c2d(P, h) of the continuous GeneralizedPlant P"
-            )
-        return None
-    return prove(origin, K, delay, [] if level is None else [level], precisions)
+    if delay is not None:
+        delay = as_number("delay", delay, "a time in s from the sample to the new value of the hold, or None", least=0)
+    found = remembered(P, P.delay if delay is None else delay)
+    if found is not None:
+        return prove(found[0], K, [] if level is None else [level], precisions, found[1])
+    if level is not None or delay:
+        raise ModelError(
+            "intersample and delay are about a plant that remembers what c2d sampled, and this one does not: design "
+            "for c2d(P, h) of the continuous GeneralizedPlant P"
+        )
+    return None

@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from flint import arb, arb_mat, ctx
 
-from synth.analysis.sampleddata import TOLERANCE, bounds, lifted
+from synth.analysis.sampleddata import TOLERANCE, bounds, late
 from synth.equations.lifting import Lifting
 from synth.errors import VerificationError
 from synth.proof import balls
@@ -52,7 +52,8 @@ class Intersample:
     """A bound of the norm between the samples, and the witness that proves it."""
 
     upper: float  # the controller stabilises the plant, and the norm at all times is below this
-    delay: float  # s from the sample to the new value of the hold, from 0 to the period
+    delay: float  # s from the sample to the new value of the hold, from 0 to the period,
+    samples: int  # and so many samples later
     held: tuple[int, ...]  # those w that are constant over a period
     bits: int  # precision of the ball arithmetic
     states: np.ndarray  # (n, n) S, x = S x_new
@@ -64,7 +65,8 @@ class Intersample:
     def statement(self) -> str:
         """What was proved, in words."""
         held = f", w number {', '.join(str(j + 1) for j in self.held)} constant over a period" if self.held else ""
-        late = f", u {self.delay!r} s after the sample" if self.delay else ""
+        whole = f"{self.samples} samples and " if self.samples else ""
+        late = f", u {whole}{self.delay!r} s after the sample" if self.delay or self.samples else ""
         return (
             f"the controller stabilises the continuous plant with an H-infinity norm below {self.upper!r} between the "
             f"samples too ({self.bits}-bit{late}{held})"
@@ -98,7 +100,7 @@ def loop(claim: Intersample, K: StateSpace) -> Balls:
     ValueError, ArithmeticError : a w within a period may have a gain of `claim.upper`; or there is no such loop: P must
         be continuous, K discrete, and every w that reaches a sampler held.
     """
-    P, held, late = claim.plant, list(claim.held), claim.delay > 0
+    P, held, lag = claim.plant, list(claim.held), claim.delay > 0
     n, k, m = len(P.A), len(held), len(P.u)
     free = [j for j in range(len(P.w)) if j not in held]
     ours = P.dt == 0 and K.dt is not True and 0 <= claim.delay <= K.dt and K.dt > 0
@@ -111,13 +113,13 @@ def loop(claim: Intersample, K: StateSpace) -> Balls:
     free_part = Si * exact(P.B1[:, free]), exact(P.D11[:, free])
     constant = Si * exact(np.hstack([P.B1[:, held], P.B2])) * unit, exact(np.hstack([P.D11[:, held], P.D12])) * unit
     whole = None
-    for after, time in [(False, arb(claim.delay))] * late + [(True, arb(K.dt) - claim.delay)] * (claim.delay < K.dt):
-        acts = exact(_acting(k, m, late, after))
+    for after, time in [(False, arb(claim.delay))] * lag + [(True, arb(K.dt) - claim.delay)] * (claim.delay < K.dt):
+        acts = exact(_acting(k, m, lag, after))
         A, C = block([[Si * exact(P.A) * S, constant[0] * acts]]), block([[exact(P.C1) * S, constant[1] * acts]])
         part = period(A, free_part[0], C, free_part[1], g, time)
         whole = part if whole is None else joined(whole, part)
     assert whole is not None
-    return balls.closed(_plant(claim, whole, S, unit, K.dt), K)
+    return balls.closed(_plant(claim, whole, S, unit, K.dt), late(K, claim.samples))
 
 
 def _acting(k: int, m: int, late: bool, after: bool) -> np.ndarray:
@@ -192,9 +194,9 @@ def factor(W: arb_mat) -> arb_mat:
 
 def _plant(claim: Intersample, whole: Period, S: arb_mat, unit: arb_mat, h: float) -> dict[str, arb_mat]:
     """The discrete plant of a period, its nine matrices by name; its state is x, and the u before of a late hold."""
-    P, held, late = claim.plant, list(claim.held), claim.delay > 0
+    P, held, lag = claim.plant, list(claim.held), claim.delay > 0
     n, k, m, N = len(P.A), len(held), len(P.u), whole.F.nrows()
-    s = m if late else 0
+    s = m if lag else 0
     state, now = [*range(n), *range(n + k, n + k + s)], range(N - m, N)
     one, energy = unit.inv(), 1 / (arb(claim.upper) * h).sqrt()
     per_held = rows(columns(one, range(k)), range(k)) * energy
@@ -211,37 +213,35 @@ def _plant(claim: Intersample, whole: Period, S: arb_mat, unit: arb_mat, h: floa
         "C1": columns(C, state),
         "D11": block([[arb_mat(N, n), D11]]),
         "D12": columns(C, now) * per_u,
-        "C2": block([[C2, exact(P.D22) * per_u.inv()]]) if late else C2,
+        "C2": block([[C2, exact(P.D22) * per_u.inv()]]) if lag else C2,
         "D21": block([[arb_mat(len(P.y), n), D21]]),
-        "D22": exact(0 * P.D22 if late else P.D22),
+        "D22": exact(0 * P.D22 if lag else P.D22),
     }
 
 
 def prove(
-    P: GeneralizedPlant, K: StateSpace, delay: float, levels: Sequence[float], bits: Sequence[int]
+    lifting: Lifting, K: StateSpace, levels: Sequence[float], bits: Sequence[int], samples: int = 0
 ) -> Intersample:
-    """A bound of the norm between the samples of a discrete controller for continuous P, the tightest that is proved.
+    """A bound of the norm between the samples of a discrete controller, the tightest that is proved.
 
-    A w that reaches a sampler is held. Without `levels` some are tried a little above the norm in doubles.
+    Without `levels` some are tried a little above the norm in doubles. u may come whole `samples` later.
 
     Raises
     ------
-    ModelError : as `sdhinfnorm`.
     VerificationError : none of the levels was proved.
     """
-    lifting = lifted(P, K.dt, delay, "all")
     if not levels:
-        norm = bounds(lifting, K, TOLERANCE).upper
+        norm = bounds(lifting, late(K, samples), TOLERANCE).upper
         levels = [norm * (1 + m) for m in MARGINS] if norm < np.inf else []
     for level, precision in product(levels, bits):
-        found = find(lifting, P, K, level, precision)
+        found = find(lifting, K, level, precision, samples)
         if found:
             return found
     told = f"below {levels[-1]:.9g}" if levels else "finite"
     raise VerificationError(f"it was not proved that the norm between the samples is {told}")
 
 
-def find(lifting: Lifting, P: GeneralizedPlant, K: StateSpace, level: float, bits: int) -> Intersample | None:
+def find(lifting: Lifting, K: StateSpace, level: float, bits: int, samples: int = 0) -> Intersample | None:
     """A proof that the norm between the samples is below `level`, or None where none was found."""
     slow, none = lifting.at(lifting.wide), np.zeros((0, 0))
     if slow is None or not 0 < level < np.inf:
@@ -250,18 +250,19 @@ def find(lifting: Lifting, P: GeneralizedPlant, K: StateSpace, level: float, bit
         claim = Intersample(
             upper=level,
             delay=lifting.delay,
+            samples=samples,
             held=lifting.held,
             bits=bits,
-            states=principal_axes(P.system.matrices)[1],
+            states=principal_axes(lifting.given.system.matrices)[1],
             constants=lifting.units(level),
             witness=UpperWitness(none, none, none, none, 0.0),
-            plant=P,
+            plant=lifting.given,
         )
         try:
             G = loop(claim, K)
         except FAILURES:
             return None
-        for rate in rates(K.dt, pole_rate(continuous_poles(slow[0].close(K)))):
+        for rate in rates(K.dt, pole_rate(continuous_poles(slow[0].close(late(K, samples))))):
             try:
                 H = balls.mapped(G, K.dt, rate)
             except FAILURES:

@@ -45,6 +45,7 @@ ROUNDING = 1e-12  # relative agreement of a controller in a file with the produc
 INFINITE = 1e6  # a continuous peak so many times faster than every pole is one of the direct term
 REMEASURE = 1e-5  # relative agreement of the norm in a file with the norm measured when it is read
 POLES = 1e-3  # likewise of the spectral radius, to the largest pole: fivefold poles move so far between two machines
+UNKNOWN = "not known: the plant remembers none that was sampled; build it in continuous time, then c2d(P, h)"
 UNSEALED = "read from a file of format version {}, which has no sha256 of all of it; the norm was measured again"
 
 
@@ -169,9 +170,13 @@ class Design:
         """The design at a glance, in words: what a card or a table shows of it."""
         facts = {"order": f"{self.controller.n} (plant {self.plant.sizes[0]})"}
         facts |= {"sampling time": timebase_told(self.plant.dt).removeprefix("dt = ")}
+        if self.plant.delay:
+            facts |= {"delay of the hold": f"{self.plant.delay:.6g} s"}
         facts |= {f"verified norm{self._where}": f"{self.gamma:.7g}"}
         if self._between:
             facts |= {"norm between the samples": f"{self._between.upper:.7g}"}
+        elif self.plant.dt and self.intersample is None:
+            facts |= {"norm between the samples": UNKNOWN}
         if self.info.optimum is not None:
             facts |= {"optimum claimed": f"{self.info.optimum:.7g}"}
         beyond = not self.plant.dt and self.info.frequency > INFINITE * np.abs(self.closed_loop.poles()).max(initial=0)
@@ -247,7 +252,7 @@ class Design:
         lower: float | None = None,
         upper: float | None = None,
         intersample: float | None = None,
-        delay: float = 0.0,
+        delay: float | None = None,
     ) -> Certificate:
         """Prove the bounds of the norm in ball arithmetic; see `synth.proof.certify.certify`."""
         from synth.proof.certify import certify

@@ -27,7 +27,7 @@ from synth.errors import AssumptionError, ModelError, VerificationError
 from synth.synthesis.design import Design
 from synth.synthesis.hinfinity import TOLERANCE, hinfsyn, slowest_pole
 from synth.systems.connect import feedback
-from synth.systems.generalized import GeneralizedPlant
+from synth.systems.generalized import GeneralizedPlant, remembering
 from synth.systems.statespace import StateSpace, as_system, common_timebase, repeated
 from synth.systems.timebase import retimed
 
@@ -61,7 +61,7 @@ def augw(G: Any, W1: Any = None, W2: Any = None, W3: Any = None) -> GeneralizedP
         raise ModelError("W1, W2 and W3 are all None; pass at least one weight, or z would be empty")
     V1, V2, V3 = weights
     n1, n2, n3 = V1.n, V2.n, V3.n
-    return GeneralizedPlant(
+    plant = GeneralizedPlant(
         A=np.block([
             [G.A, O((G.n, n1 + n2 + n3))],
             [-V1.B @ G.C, V1.A, O((n1, n2 + n3))],
@@ -91,6 +91,7 @@ def augw(G: Any, W1: Any = None, W2: Any = None, W3: Any = None) -> GeneralizedP
         y=tuple(f"error {s}" for s in G.named_outputs),
         units={s: G.units[s] for s in G.u if s in G.units},
     )  # fmt: skip
+    return remembering(plant, G, lambda H: augw(H, W1, W2, W3))
 
 
 @numerical

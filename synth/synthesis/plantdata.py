@@ -12,12 +12,17 @@ from synth.analysis.sampleddata import is_sample
 from synth.errors import ModelError
 from synth.systems.generalized import GeneralizedPlant
 
+BETWEEN = ("continuous", "delay", "held")  # of a plant, about what is between its samples
+
 
 def to_dict(P: GeneralizedPlant) -> dict[str, Any]:
     """Matrices, timebase, names and units; the continuous plant if it is still the one that was sampled."""
-    values = {f.name: getattr(P, f.name) for f in fields(P) if f.name != "continuous"}
+    values = {f.name: getattr(P, f.name) for f in fields(P) if f.name not in BETWEEN}
     data = {key: value.tolist() if isinstance(value, np.ndarray) else _plain(value) for key, value in values.items()}
-    return data | ({"continuous": to_dict(P.continuous)} if P.continuous and is_sample(P, P.continuous) else {})
+    if P.continuous is None or not is_sample(P, P.continuous):
+        return data
+    own = {"delay": P.delay} if P.delay else {}
+    return data | {"continuous": to_dict(P.continuous)} | own | ({"held": list(P.held)} if P.held else {})
 
 
 def _plain(value: Any) -> Any:

@@ -36,7 +36,16 @@ FINER = 0.1  # of the tolerance: how near the bounds of a norm are
 
 @one_thread
 @numerical
-def sdhinfsyn(P: Any, h: float, nmeas: int | None = None, ncon: int | None = None, *, tol: float = TOLERANCE) -> Design:
+def sdhinfsyn(
+    P: Any,
+    h: float,
+    nmeas: int | None = None,
+    ncon: int | None = None,
+    *,
+    delay: float = 0.0,
+    held: Any = None,
+    tol: float = TOLERANCE,
+) -> Design:
     """Discrete controller K that minimises the H-infinity norm of continuous P closed by sampler, K and hold.
 
     Parameters
@@ -46,14 +55,16 @@ def sdhinfsyn(P: Any, h: float, nmeas: int | None = None, ncon: int | None = Non
         noise of a sample and a reference that a computer gives are; the others are any signals
     h : sampling time in s
     nmeas, ncon : number of outputs y and inputs u; needed unless P is a GeneralizedPlant
+    delay : s from the sample to the new value of the hold, from 0 to h, as the processor takes it: exact
+    held : names or numbers of more w that are constant over a period, of those that reach no sampler directly
     tol : relative distance from the optimum that the controller must reach; where it does not, `info.status` says so
 
     Returns
     -------
     Design : unpacks as K, CL, gamma, info. `gamma` is the upper bound of the norm between the samples that `sdhinfnorm`
         measured for this controller, `intersample` has both bounds; `plant` and `closed_loop` are those of the samples,
-        `plant.continuous` is P. `info.optimum` is the largest level of which the solver says that no controller
-        reaches it, no proof; None where it says of none.
+        `plant.continuous` is P, `plant.delay` and `plant.held` are those of here. `info.optimum` is the largest level
+        of which the solver says that no controller reaches it, no proof; None where it says of none.
 
     Raises
     ------
@@ -65,12 +76,15 @@ def sdhinfsyn(P: Any, h: float, nmeas: int | None = None, ncon: int | None = Non
     plant = as_plant(P, nmeas, ncon)
     h = as_number("h", h, "the sampling time in s, positive", above=0)
     tol = as_number("tol", tol, "a relative distance from the optimum, 1e-3 for example", above=0)
-    lifting = lifted(plant, h, 0.0, "all")
+    lifting = lifted(plant, h, delay, held, noisy=True)
     search = _Search(lifting, tol)
     search.run()
     K, _, design = search.best
     norm = bounds(lifting, K, FINEST)
-    sampled = c2d(plant, h)
+    _, nw, nu, *_ = plant.sizes
+    sampled = c2d(plant, h, delay=np.repeat([0.0, lifting.delay], [nw, nu]))
+    named = [j for j in lifting.held if not plant.D21[:, j].any()]
+    sampled = replace(sampled, held=tuple(plant.w[j] for j in named))
     closed_loop = sampled.close(K)
     measured = verify(closed_loop)
     slowest, why = slowest_pole(sampled, measured.poles)

@@ -10,7 +10,7 @@ those of (27).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -21,6 +21,7 @@ from synth.checks import (
     as_array,
     as_matrix,
     as_names,
+    as_number,
     as_texts,
     as_timebase,
     as_units,
@@ -61,6 +62,8 @@ class GeneralizedPlant:
     y: tuple[str, ...] = ()  # (ny) names
     units: Mapping[str, str] = field(default_factory=dict)  # channel name -> unit, for exported files
     continuous: GeneralizedPlant | None = None  # the plant that `c2d` sampled: what is between the samples
+    delay: float = 0.0  # s, from the sample to the new value of the hold, in that plant
+    held: tuple[str, ...] = ()  # those of its w that are constant over a period, beside those that reach y directly
     __setstate__ = restore
 
     def __post_init__(self):
@@ -95,6 +98,16 @@ class GeneralizedPlant:
             raise ModelError(
                 f"continuous is {shown(origin)}; it is the continuous GeneralizedPlant that a discrete one was sampled "
                 "from, which c2d sets: leave it away"
+            )
+        told = "the time in s from the sample to the new value of the hold, of a plant with `continuous`"
+        object.__setattr__(self, "delay", as_number("delay", self.delay, told, least=0))
+        object.__setattr__(self, "held", as_texts("held", self.held))
+        if unknown := sorted({*self.held} - {*self.w}):
+            raise ModelError(f"held is {shown(self.held)}, and {', '.join(unknown)} is no w of the plant")
+        if origin is None and (self.delay or self.held):
+            raise ModelError(
+                "delay and held are about what is between the samples of a plant that has `continuous`; the delays of "
+                "a plant of its own are states: see c2d and input_delay"
             )
 
     @property
@@ -175,7 +188,10 @@ class GeneralizedPlant:
             y=tuple(f"error {s}" for s in y),
             units={s: units[s] for s in u if s in units} | {f"error {s}": units[s] for s in y if s in units},
         )  # fmt: skip
-        return plant.weighted(w=(ref, proc, dist), z=(err, act))
+        weights: dict[str, Any] = {"Wproc": Wproc, "Wdist": Wdist, "Werr": Werr, "Wact": Wact, "Wr": Wr}
+        return remembering(
+            plant.weighted(w=(ref, proc, dist), z=(err, act)), G, lambda H: cls.tracking(H, **weights, u=u, y=y)
+        )
 
     @classmethod
     def four_block(cls, G: Any, *, Wdist, Wnoise, Wout, Wact) -> GeneralizedPlant:
@@ -217,7 +233,8 @@ class GeneralizedPlant:
             y=tuple(f"error {s}" for s in outs),
             units={s: G.units[s] for s in G.u if s in G.units},
         )
-        return plant.weighted(w=(dist, noise), z=(out, act))
+        weights: dict[str, Any] = {"Wdist": Wdist, "Wnoise": Wnoise, "Wout": Wout, "Wact": Wact}
+        return remembering(plant.weighted(w=(dist, noise), z=(out, act)), G, lambda H: cls.four_block(H, **weights))
 
     def weighted(self, *, w: Sequence[StateSpace], z: Sequence[StateSpace]) -> GeneralizedPlant:
         """The plant with systems in front of its w and behind its z, one after the other along the channels.
@@ -239,6 +256,22 @@ class GeneralizedPlant:
     def close(self, K: Any) -> StateSpace:
         """Closed loop from w to z under u = K y (positive feedback), K in any form that `system` takes."""
         return lft(self.system, K, self.C2.shape[0], self.B2.shape[1])
+
+
+def remembering(
+    P: GeneralizedPlant, G: StateSpace, build: Callable[[StateSpace], GeneralizedPlant]
+) -> GeneralizedPlant:
+    """What was built from G; where `c2d` sampled G, with what is built from the continuous system likewise.
+
+    Weights that are gains are the same at all times. A discrete one says nothing of what is between the samples, and
+    then nothing is remembered.
+    """
+    if G.continuous is None or not G.discrete:
+        return P
+    try:
+        return replace(P, continuous=build(G.continuous))
+    except ModelError:  # a weight with another timebase
+        return P
 
 
 def _weight(name: str, W: Any, size: int, dt: float) -> tuple[np.ndarray, StateSpace]:

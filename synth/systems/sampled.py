@@ -87,10 +87,10 @@ def c2d(
     Parameters
     ----------
     G : continuous system, in any form that `system` takes; a GeneralizedPlant stays one, `continuous` is then what
-        "zoh" without delay made it of; or an uncertain one, whose `"tustin"` and `"midpoint"` are exact in the
-        parameters; so is its hold equivalent where the exponential series ends, as of rigid bodies, and where
-        parameters are in B, C and D alone. Others become polynomials with `remainders`: each entry is off by a
-        proved amount at most on the whole box, which every connection keeps and every proof takes in
+        "zoh" made it of, without delay or with one that all u have, and no w; or an uncertain one, whose `"tustin"`
+        and `"midpoint"` are exact in the parameters; so is its hold equivalent where the exponential series ends, as of
+        rigid bodies, and where parameters are in B, C and D alone. Others become polynomials with `remainders`: each
+        entry is off by a proved amount at most on the whole box, which every connection keeps and every proof takes in
     dt : sampling time in seconds, positive
     method : one of these six; of uncertain systems "zoh", "tustin" or "midpoint". The last is E (x+ - x) =
         dt (A (x+ + x)/2 + B u) with u held: the hold equivalent itself of double integrators, such as the axes of a
@@ -135,11 +135,12 @@ def c2d(
 
 def _generalised(P: GeneralizedPlant, dt: float, method: str, **options: Any) -> GeneralizedPlant:
     """A plant with all its inputs and outputs."""
-    _, _, m, _, p = P.sizes
+    _, nw, m, _, p = P.sizes
     found = GeneralizedPlant.partition(c2d(StateSpace(*P.system.matrices, P.dt), dt, method, **options), p, m)
-    late = np.any(options["delay"]) or np.any(options["output_delay"])
-    origin = P if method == "zoh" and not late else None
-    return replace(found, w=P.w, u=P.u, z=P.z, y=P.y, units=P.units, continuous=origin)
+    late = np.broadcast_to(options["delay"], nw + m)
+    as_one = not (late[:nw].any() or np.any(options["output_delay"]) or np.ptp(late[nw:]))
+    named = replace(found, w=P.w, u=P.u, z=P.z, y=P.y, units=P.units)
+    return replace(named, continuous=P, delay=float(late[-1])) if method == "zoh" and as_one else named
 
 
 def _mapped(G: StateSpace, dt: float, method: str, rate: float) -> StateSpace:
@@ -148,7 +149,7 @@ def _mapped(G: StateSpace, dt: float, method: str, rate: float) -> StateSpace:
         return replace(G, dt=dt)
     if method == "zoh":
         M = expm(dt * np.block([[G.A, G.B], [np.zeros((G.nu, G.n + G.nu))]]))
-        return replace(G, A=M[: G.n, : G.n], B=M[: G.n, G.n :], dt=dt)
+        return replace(G, A=M[: G.n, : G.n], B=M[: G.n, G.n :], dt=dt, continuous=G)
     try:
         mapped = cayley(G, rate, dt)
         if method == "midpoint":  # the input and the output of the samples, not their means

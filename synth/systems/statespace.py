@@ -61,6 +61,7 @@ class StateSpace:
     u: tuple[str, ...] = ()  # (m) names of the inputs; u0, u1, ... when left out
     y: tuple[str, ...] = ()  # (p) names of the outputs; y0, y1, ... when left out
     units: Mapping[str, str] = field(default_factory=dict)  # name -> unit
+    continuous: StateSpace | None = field(default=None, repr=False)  # what `c2d` sampled with a hold, for builders
     __setstate__ = restore
     __array_ufunc__ = None  # NumPy's operators leave systems to the operators below
 

@@ -23,10 +23,21 @@ from synth import (
     system,
 )
 from synth.analysis.sampleddata import lifted
+from synth.proof import intersample
 from synth.proof.certify import certify
-from synth.proof.intersample import find, prove
+from synth.systems.connect import input_delay
 
 BITS = (128, 512)
+
+
+def prove(P: GeneralizedPlant, K: StateSpace, delay: float, levels, bits=BITS):
+    return intersample.prove(lifted(P, K.dt, delay, None, noisy=True), K, levels, bits)
+
+
+def find(P: GeneralizedPlant, K: StateSpace, delay: float, level: float, bits: int = 512):
+    return intersample.find(lifted(P, K.dt, delay, None, noisy=True), K, level, bits)
+
+
 H = 2.0  # s
 
 
@@ -49,15 +60,15 @@ def checked_on_both_sides(P: GeneralizedPlant, K: StateSpace, delay: float = 0.0
     found = sdhinfnorm(P, K, delay=delay, held=list(held) or None)
     if not np.isfinite(found.upper):
         with pytest.raises(VerificationError, match="finite"):
-            prove(P, K, delay, [], BITS)
+            prove(P, K, delay, [])
         return
     for above in (1e-6, 1e-3):
-        proved = prove(P, K, delay, [found.upper * (1 + above)], BITS)
+        proved = prove(P, K, delay, [found.upper * (1 + above)])
         assert proved.is_proved(K)
         for level in (found.lower * (1 - 1e-6), 0.5 * found.lower):
             assert not replace(proved, upper=level).is_proved(K)
     for below in (1e-6, 1e-3, 0.5):
-        assert find(lifted(P, K.dt, delay, "all"), P, K, found.lower * (1 - below), 128) is None
+        assert find(P, K, delay, found.lower * (1 - below), 128) is None
 
 
 @pytest.mark.parametrize("seed", range(16))
@@ -77,7 +88,7 @@ def test_what_is_proved_is_above_brute_force(seed):
     P, K, delay, held = variant(seed)
     brute = hinfnorm(fast_sampled(P, K, 16, late=round(16 * delay / K.dt), held=held))[0]
     if np.isfinite(brute):
-        assert prove(P, K, delay, [], BITS).upper > brute
+        assert prove(P, K, delay, []).upper > brute
 
 
 @pytest.mark.parametrize(("condition", "known"), [(1e4, 1e-6), (1e6, 1e-3)])
@@ -95,9 +106,9 @@ def test_neither_coordinates_nor_units_matter(seed, condition, known):
     )  # fmt: skip
     Km = StateSpace(K.A, K.B / b, K.C / a, K.D / a / b, K.dt * t)
     norm = c * sdhinfnorm(P, K, delay=0.3 * K.dt).upper
-    proved = prove(moved, Km, 0.3 * Km.dt, [norm * (1 + known)], BITS)
+    proved = prove(moved, Km, 0.3 * Km.dt, [norm * (1 + known)])
     assert proved.is_proved(Km)
-    assert find(lifted(moved, Km.dt, 0.3 * Km.dt, "all"), moved, Km, norm * (1 - 2 * known), 512) is None
+    assert find(moved, Km, 0.3 * Km.dt, norm * (1 - 2 * known)) is None
     assert not replace(proved, upper=norm * (1 - 2 * known)).is_proved(Km)
 
 
@@ -121,8 +132,8 @@ def test_the_gain_within_a_period_is_that_of_continuous_time_where_control_does_
     Z = np.zeros
     P = GeneralizedPlant(A=G.A, B1=G.B, B2=Z((4, 1)), C1=G.C, D11=G.D, D12=Z((2, 1)), C2=G.C[:1], D21=Z((1, 2)), D22=0)
     K, norm = system([[0.0]], dt=h), hinfnorm(G)[0]
-    assert prove(P, K, 0.4 * h, [norm * (1 + 1e-6)], BITS).is_proved(K)
-    assert find(lifted(P, h, 0.4 * h, "all"), P, K, norm * (1 - 1e-6), 512) is None
+    assert prove(P, K, 0.4 * h, [norm * (1 + 1e-6)]).is_proved(K)
+    assert find(P, K, 0.4 * h, norm * (1 - 1e-6)) is None
 
 
 @pytest.mark.parametrize(("h", "low", "high"), [(0.75, 3.7908, 3.7929), (0.2, 1.0044, 1.0049)])
@@ -131,9 +142,9 @@ def test_the_example_of_matlabs_documentation(h, low, high):
     p = system([30], [1, 30, 0])
     G = StateSpace(p.A, np.hstack([p.B, p.B]), np.vstack([p.C, p.C]), np.zeros((2, 2)))
     P, K = GeneralizedPlant.partition(G, 1, 1), system(-c2d(system([4], [1, 4]), h))
-    assert low < prove(P, K, 0.0, [], BITS).upper < high
+    assert low < prove(P, K, 0.0, []).upper < high
     with pytest.raises(VerificationError, match=f"below {low}"):
-        prove(P, K, 0.0, [low], BITS)
+        prove(P, K, 0.0, [low])
 
 
 def satellite() -> GeneralizedPlant:
@@ -238,5 +249,22 @@ def test_what_remembers_no_continuous_plant_is_told_so(design):
     for asked in ({"intersample": 2.0}, {"delay": 0.1}):
         with pytest.raises(ModelError, match="remembers what c2d sampled"):
             certify(forgetful, **asked)
-    with pytest.raises(ModelError, match="delay is 3 s, more than the period"):
-        certify(design, delay=3.0)
+
+
+def test_a_hold_that_is_late_by_more_than_a_sample(design):
+    """The whole samples are in front of the hold: as those in the controller."""
+    K = design.controller
+    slow = hinfsyn(c2d(satellite(), H, delay=[0, 0, 2.5]))
+    assert slow.plant.delay == 2.5
+    proved = slow.certify(upper=10).intersample
+    assert (proved.samples, proved.delay) == (1, pytest.approx(0.5))
+    assert "u 1 samples and 0.5 s after the sample" in proved.statement
+    norm = sdhinfnorm(satellite(), input_delay(slow.controller, H), delay=0.5, held=[1])
+    assert norm.lower < proved.upper < norm.upper * (1 + 1e-5)
+    assert slow.intersample.upper == pytest.approx(norm.upper, rel=1e-6)
+    with pytest.raises(VerificationError, match="finite"):
+        certify(design, delay=7.0)
+    for late in (3.0, 4.0):
+        found = sdhinfnorm(satellite(), input_delay(K, H), delay=late - H, held=[1])
+        if np.isfinite(found.upper):
+            assert found.lower < design.certify(delay=late).intersample.upper < found.upper * (1 + 1e-5)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 import synth
 from synth import ModelError, NumericalError, StateSpace, kalmd, lqg, lqgd, lqrd
+from synth.analysis.sampleddata import lifted, wide
 from synth.errors import AssumptionError
 
 EACH = settings(max_examples=20, deadline=None)
@@ -168,6 +169,28 @@ def test_no_sampled_controller_near_that_of_lqgd_costs_less(seed, kind, dt, curr
     for _ in range(4):
         matrices = [M * (1 + 3e-3 * rng.standard_normal(M.shape)) for M in K.matrices]
         assert mean_cost(G, StateSpace(*matrices, dt), W, V, dt) >= least * (1 - 1e-8)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10_000), KINDS, st.floats(0.02, 1.0), st.booleans())
+def test_lqgd_is_the_best_controller_of_the_lifted_plant(seed, kind, dt, current):
+    """Lifting shares nothing with Van Loan's integrals: the cost is the same, and `h2syn` finds no less."""
+    rng, G = plant(seed, kind)
+    if not current:
+        G = StateSpace(G.A, G.B, G.C, rng.standard_normal(G.D.shape))
+    W, V, n, m, p = weight(rng, G.n + G.nu), sla.block_diag(weight(rng, G.n), weight(rng, G.ny)), G.n, G.nu, G.ny
+    assume(well_posed(G.A, G.B, W) and well_posed(G.A.T, G.C.T, V))
+    CD, noise = np.linalg.cholesky(W).T, np.linalg.cholesky(V)
+    P = synth.GeneralizedPlant(
+        A=G.A, B1=noise[:n], B2=G.B, C1=CD[:, :n], D11=np.zeros((n + m, n + p)), D12=CD[:, n:], C2=G.C, D21=noise[n:],
+        D22=G.D,
+    )  # fmt: skip
+    K = lqgd(G, W, V, dt, current=current)
+    norm = synth.sdh2norm(P, K)
+    assert norm**2 == pytest.approx(mean_cost(G, K, W, V, dt), rel=1e-8)
+    lifting = lifted(P, dt, 0.0, None)
+    best = synth.h2syn(wide(lifting)[0], strictly_proper=not current).design.controller
+    assert norm <= synth.sdh2norm(P, best) * (1 + 1e-8)
 
 
 @EACH

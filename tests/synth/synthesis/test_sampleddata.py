@@ -15,13 +15,18 @@ from synth import (
     Requirements,
     StateSpace,
     accept,
+    augw,
     c2d,
+    d2c,
     export,
+    gang_of_four,
     hinfnorm,
     hinfsyn,
     sdhinfnorm,
     sdhinfsyn,
+    system,
 )
+from synth.analysis.sampleddata import is_sample
 from synth.command.look import facts
 from synth.delivery.modelfiles import read, save_system
 from synth.synthesis.plantdata import from_dict, to_dict
@@ -116,6 +121,102 @@ def test_files_keep_the_continuous_plant(designs, tmp_path):
     proved = designs[1].certify()
     assert proved.intersample.upper == pytest.approx(designs[1].gamma, rel=1e-5)
     assert proved.upper == pytest.approx(hinfnorm(designs[1].closed_loop)[0], rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    "build",
+    [
+        lambda G: GeneralizedPlant.tracking(G, Wproc=0.1, Wdist=[0.1], Werr=1, Wact=[[0.1]], Wr=1),
+        lambda G: GeneralizedPlant.four_block(G, Wdist=1, Wnoise=0.1, Wout=1, Wact=0.1),
+        lambda G: augw(G, 0.5, 0.1, W3=0.2),
+        gang_of_four,
+    ],
+)
+def test_what_is_built_of_a_sampled_part_with_gains_remembers_the_continuous_one(build, tmp_path):
+    """It is what c2d makes of the plant that is built likewise in continuous time; weights that are gains stay so."""
+    G = StateSpace([[0, 1], [-1.3, -0.05]], [[0], [1.2]], [[1, 0.2]], 0, u=("torque",), y=("angle",))
+    P, Q = build(c2d(G, 0.5)), build(G)
+    assert is_sample(P, Q)
+    found = hinfsyn(P)
+    assert found.plant.continuous.w == Q.w
+    norm = sdhinfnorm(Q, found.controller, held=np.flatnonzero(Q.D21.any(axis=0)).tolist())
+    assert found.intersample.upper == pytest.approx(norm.upper, rel=1e-9)
+    assert found.facts["norm between the samples"] == f"{norm.upper:.7g}"
+    assert norm.lower < found.certify().intersample.upper < norm.upper * (1 + 1e-5)
+    assert Design.load(found.save(tmp_path / "design.json")).intersample == found.intersample
+    for other in (replace(P, A=P.A * 1.01), build(replace(c2d(G, 0.5), B=[[0.0], [2.0]]))):  # changed since
+        assert hinfsyn(other).intersample is None
+    assert build(d2c(c2d(G, 0.5))).continuous is None
+
+
+def test_what_is_built_with_discrete_weights_says_that_nothing_is_known_between_the_samples():
+    G, h = system([1.0], [1.0, 0.3, 1.0]), 0.5
+    found = hinfsyn(augw(c2d(G, h), c2d(system([1.0], [1.0, 0.1]), h), 0.1))
+    assert found.intersample is None
+    assert "then c2d(P, h)" in found.facts["norm between the samples"]
+    better = hinfsyn(c2d(augw(G, system([1.0], [1.0, 0.1]), 0.1), h))
+    assert better.intersample is not None
+
+
+@pytest.mark.parametrize("delay", [0.2, 1.0, H])
+def test_designs_for_a_hold_that_is_late(designs, delay, tmp_path):
+    """Exact: the state of a late hold is the u before. What was designed without the delay is worse with it."""
+    found = sdhinfsyn(satellite(H), H, delay=delay)
+    norm = sdhinfnorm(satellite(H), found.controller, delay=delay, held=["noise"])
+    assert found.gamma == pytest.approx(norm.upper, rel=1e-6)
+    assert found.gamma <= found.info.optimum * (1 + 2e-3)
+    assert designs[1].gamma < found.gamma
+    assert found.gamma < sdhinfnorm(satellite(H), designs[1].controller, delay=delay, held=["noise"]).upper
+    assert found.controller.n == 5
+    assert found.plant.delay == delay
+    again = Design.load(found.save(tmp_path / "design.json"))
+    assert again.gamma == found.gamma
+    assert again.intersample.upper == pytest.approx(found.gamma, rel=1e-6)
+    assert found.facts["delay of the hold"] == f"{delay:g} s"
+    assert norm.lower < found.certify().intersample.upper < norm.upper * (1 + 1e-5)
+    line = next(c for c in accept(found).conditions if c.name == "between the samples")
+    assert line.norm == pytest.approx(found.gamma, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_designs_for_late_holds_are_best_on_random_plants(seed):
+    """Within the tolerance of a level that no controller reaches, where the design without delay may be unstable."""
+    P, K = random_loop(seed)
+    P = replace(P, D21=np.array([[0.0, 0.3]]))
+    delay = K.dt * np.random.default_rng(seed).uniform()
+    found = sdhinfsyn(P, K.dt, delay=delay)
+    assert found.gamma <= found.info.optimum * (1 + 2e-3)
+    other = sdhinfsyn(P, K.dt).controller
+    assert found.gamma <= sdhinfnorm(P, other, delay=delay, held=[1]).upper * (1 + 1e-3)
+
+
+def test_a_w_that_is_held_is_slower_and_does_less(designs, tmp_path):
+    found = sdhinfsyn(satellite(H), H, held=["torque"])
+    assert found.plant.held == ("torque",)
+    assert found.gamma < designs[1].gamma
+    assert found.gamma == pytest.approx(designs[0].gamma, rel=1e-3)  # all held: what c2d makes of them
+    again = Design.load(found.save(tmp_path / "design.json"))
+    assert again.plant.held == ("torque",)
+    assert again.intersample.upper == pytest.approx(found.gamma, rel=1e-6)
+    with pytest.raises(ModelError, match="there is no held w 'wind'"):
+        sdhinfsyn(satellite(H), H, held="wind")
+    with pytest.raises(ModelError, match="is no w of the plant"):
+        replace(found.plant, held=("wind",))
+    with pytest.raises(ModelError, match="delay and held are about"):
+        replace(found.plant, continuous=None)
+    with pytest.raises(ModelError, match=r"delay is 2\.5 s, more than the period"):
+        sdhinfsyn(satellite(H), H, delay=2.5)
+
+
+def test_designs_for_plants_that_were_sampled_with_a_late_hold_know_it():
+    P = c2d(satellite(H), H, delay=[0, 0, 0.7])
+    assert (P.continuous is not None, P.delay) == (True, 0.7)
+    found = hinfsyn(P)
+    norm = sdhinfnorm(satellite(H), found.controller, delay=0.7, held=["noise"])
+    assert found.intersample.upper == pytest.approx(norm.upper, rel=1e-6)
+    for other in ([0.7, 0.7, 0.7], [0.1, 0, 0.7]):  # whose w are late
+        assert c2d(satellite(H), H, delay=other).continuous is None
+    assert c2d(satellite(H), H, output_delay=[0, 0, 0.7]).continuous is None
 
 
 @pytest.mark.parametrize("seed", range(4))
