@@ -2,7 +2,8 @@
 
     [plant]           matrices A, B, C, D (or A, B1, ..., D22), or num and den, or zeros, poles and gain; and dt; or
                       file = "plant.json" (or .mat) beside it. sample = 0.5 discretises a continuous plant, hold = "zoh"
-                      (default) or "tustin"; delay = 1.0 in s, of the inputs, in whole samples; u, y, units; or
+                      (default) or "tustin"; delay = 1.0 in s, of the inputs u, any with `sample` and "zoh", else whole
+                      samples; u, y, units; or
                       spacecraft = "spacecraft.toml", whose linear plant has its control period
     [synthesis]       problem = "tracking", "fourblock", "generalized", "loopshaping" or "mixedsensitivity"; method,
                       gamma, tol; for mixed sensitivity also shift; for loop shaping no tol, but gamma_factor, and

@@ -7,9 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from synth.checks import as_array, shown
 from synth.command import door, studyschemas
 from synth.command.tables import Table
-from synth.delivery.acceptance import sampled
 from synth.delivery.modelfiles import FRACTIONS, NINE, Model, read
 from synth.errors import ModelError, SynthError
 from synth.files import is_device
@@ -30,14 +32,16 @@ def read_plant(table: Table, folder: Path) -> tuple[GeneralizedPlant | StateSpac
     try:
         other = next((form for key, form in ELSEWHERE.items() if key in table.data), None)
         plant = other(table, folder, about) if other else _from_matrices(table)
+        delay = table.data.get("delay", 0.0)
         if sample is not None and plant is not None:
-            plant = _sampled(plant, sample, hold)
-        if "delay" in table.data and plant is not None:
+            plant = _sampled(plant, sample, hold, delay)
+        elif "delay" in table.data and plant is not None:
             if isinstance(plant, GeneralizedPlant):
                 raise ModelError(
-                    "delay is for a plant with inputs u alone; put it into A, B1, ... of a generalised one"
+                    "delay is for inputs u alone, or for a continuous generalised plant with `sample`; put it into A, "
+                    "B1, ... of a discrete one"
                 )
-            plant = input_delay(plant, table.data["delay"])
+            plant = input_delay(plant, delay)
     except SynthError as error:
         if len(table.problems) == before:
             table.problems.append(f"{table.path}: {error}")
@@ -62,13 +66,17 @@ def plant_kind(data: dict[str, Any]) -> type[Record]:
     return studyschemas.GeneralizedPlant if nine else studyschemas.MatrixPlant
 
 
-def _sampled(plant: GeneralizedPlant | StateSpace, dt: float, hold: str) -> GeneralizedPlant | StateSpace:
-    """The discrete plant."""
+def _sampled(plant: GeneralizedPlant | StateSpace, dt: float, hold: str, delay: Any) -> GeneralizedPlant | StateSpace:
+    """The discrete plant, whose inputs u act `delay` s later."""
     if isinstance(plant, StateSpace):
-        return c2d(plant, dt, hold)
+        return c2d(plant, dt, hold, delay=delay)
     if hold != "zoh":
         raise ModelError("hold is 'tustin'; a generalised plant is sampled with 'zoh'")
-    return sampled(plant, dt)
+    _, nw, m, *_ = plant.sizes
+    late = as_array("delay", delay, f"pass a time in s that is not negative, or {m} of them")
+    if late.shape not in ((), (m,)):
+        raise ModelError(f"delay is {shown(delay)}; pass a time in s that is not negative, or {m} of them")
+    return c2d(plant, dt, delay=np.concatenate([np.zeros(nw), np.broadcast_to(late, m)]))
 
 
 def _from_file(table: Table, folder: Path, about: dict[str, Any]) -> GeneralizedPlant | StateSpace | None:

@@ -153,6 +153,12 @@ def test_generalised_plant_in_matrices(tmp_path):
     assert design.info.level == 10
     assert design.gamma <= 10
     assert study.accept(design).dt == 0.01
+    late = text.replace("    A = -1", "    A = [[-1]]\n    sample = 0.5\n    delay = 0.2").replace("dt = 0.01", "")
+    study = study_of(late, tmp_path)
+    assert (study.plant.delay, study.plant.continuous.y) == (0.2, ("y0",))
+    design = study.design()
+    assert design.intersample.lower < design.certify().intersample.upper < design.intersample.upper * (1 + 1e-5)
+    assert "delay is [1, 2]" in problems_of(late.replace("delay = 0.2", "delay = [1, 2]"), tmp_path)[0]
     twice = text.replace("    A = -1", "    A = [[-1]]").replace('["position"]', '["position", "position"]')
     assert problems_of(twice, tmp_path)[0].startswith("plant: channel y has names ('position', 'position')")
 
@@ -270,13 +276,22 @@ def test_mistakes_in_polynomials_have_their_paths(tmp_path):
         assert any(text.startswith(path) for text in problems), problems
 
 
-def test_delays_of_whole_samples(tmp_path):
+def test_delays_of_whole_samples_and_of_parts(tmp_path):
     late = study_of(SHAPING.replace("sample = 0.1", "sample = 0.1\ndelay = 0.2"), tmp_path)
     g = c2d(StateSpace([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], [[0]]), 0.1)
     for omega in (0.3, 5.0):
         expected = -g.frequency_response(omega) * np.exp(-0.2j * omega)
         np.testing.assert_allclose(late.plant.frequency_response(omega), expected, rtol=1e-9)
-    (problem,) = problems_of(SHAPING.replace("sample = 0.1", "sample = 0.1\ndelay = 0.25"), tmp_path)
+    part = study_of(SHAPING.replace("sample = 0.1", "sample = 0.1\ndelay = 0.25"), tmp_path)
+    G = StateSpace([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], [[0]])
+    np.testing.assert_allclose(
+        part.plant.frequency_response(0.3), -c2d(G, 0.1, delay=0.25).frequency_response(0.3), rtol=1e-12
+    )
+    held = "sample = 0.1\nhold = 'tustin'\ndelay = 0.25"
+    (problem,) = problems_of(SHAPING.replace("sample = 0.1", held), tmp_path)
+    assert "method 'tustin' has whole ones only" in problem
+    sampled = SHAPING.replace("dt = 0", "dt = 0.1").replace("sample = 0.1", "delay = 0.25")
+    (problem,) = problems_of(sampled, tmp_path)
     assert problem.startswith("plant: delay is 0.25 s, [2.5] samples of 0.1 s")
     assert any("sample the plant first" in text for text in problems_of(
         SHAPING.replace("sample = 0.1", "delay = 0.2"), tmp_path
