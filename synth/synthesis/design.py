@@ -338,6 +338,8 @@ def from_dict(data: Any) -> Design:
     kind = schemas.SealedDesign if version == FORMAT_VERSION else schemas.Design
     mistakes.check(kind, data, "the design is incomplete or damaged")
     try:
+        if plantdata.of_samples(data["plant"]).system.digest() != data["plant_sha256"]:
+            raise ModelError("its sha256 is not the plant_sha256 in the file: one of them was changed")
         plant = plantdata.from_dict(data["plant"])
     except ModelError as error:
         raise ModelError(f"the design is incomplete or damaged: plant: {error}") from None
@@ -346,8 +348,6 @@ def from_dict(data: Any) -> Design:
     parts, dt = data.get("shaping"), data["dt"]
     shaping = None if parts is None else Shaping(*(_system_from_dict(k, parts[k], dt) for k in SHAPING))
     gamma, norm = data["gamma"], data["verified_norm"]
-    if plant.system.digest() != data["plant_sha256"]:
-        raise ModelError("plant_sha256 does not belong to the plant in the file: one of them was changed")
     if shaping and not _equal(shaping.controller, controller):
         raise ModelError("controller is not the W1 Ks W2 of the shaping in the file: one of them was changed")
     closed_loop, measured = judge(plant, shaping.Ks if shaping else controller)

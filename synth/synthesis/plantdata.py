@@ -29,6 +29,11 @@ def _plain(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
+def of_samples(data: Mapping[str, Any]) -> GeneralizedPlant:
+    """The plant without what is between its samples."""
+    return GeneralizedPlant(**{key: value for key, value in data.items() if key not in BETWEEN})
+
+
 def from_dict(data: Mapping[str, Any]) -> GeneralizedPlant:
     """The inverse of `to_dict`.
 

@@ -201,14 +201,14 @@ def test_a_bare_controller_has_no_level_to_keep(cubesat, accepted):
     assert (line.verdict, line.ratio, bare.level) == ("not judged", None, None)
     assert line.norm == pytest.approx(lines(accepted)["designed"].norm, rel=1e-12)
     assert bare.passed
-    assert [c.name for c in bare.not_judged] == ["designed"]
+    assert [c.name for c in bare.not_judged] == ["designed", "between the samples"]
     assert "accepted at a sampling time of 0.5 s; not judged, no level known: designed" in bare.verdict
     told = accept(cubesat.controller, cubesat.plant, level=cubesat.gamma)
     assert [c.verdict for c in told.conditions] == [c.verdict for c in accept(cubesat).conditions]
     assert not lines(accept(cubesat.controller, cubesat.plant, level=cubesat.gamma / 2))["designed"].passed
     assert accept(cubesat, cubesat.plant).level == cubesat.gamma
     late = accept(cubesat.controller, cubesat.plant, requirements=Requirements(delay_ratio=1.5))
-    assert [c.name for c in late.not_judged] == ["designed", "one sample of delay"]
+    assert [c.name for c in late.not_judged] == ["designed", "between the samples", "one sample of delay"]
 
 
 @pytest.mark.parametrize("limits", [{}, {"umin": -1e-3, "umax": 1e-3}])
