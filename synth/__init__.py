@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from synth.analysis.coprime import gang_of_four as gang_of_four
     from synth.analysis.coprime import ncfmargin as ncfmargin
     from synth.analysis.cover import ucover as ucover
+    from synth.analysis.delayedmargins import allmargin as allmargin
     from synth.analysis.diskmargins import diskmargin_at as diskmargin_at
     from synth.analysis.gap import Gap as Gap
     from synth.analysis.gap import gapmetric as gapmetric
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     from synth.analysis.sampleddata import sdh2norm as sdh2norm
     from synth.analysis.sampleddata import sdhinfnorm as sdhinfnorm
     from synth.analysis.stabilitymargins import Margins as Margins
-    from synth.analysis.stabilitymargins import allmargin as allmargin
     from synth.command.specification import Study as Study
     from synth.command.specification import read_study as read_study
     from synth.delivery.acceptance import Acceptance as Acceptance
@@ -197,7 +197,7 @@ _HOME = {
     "VerificationError": "errors",
     "WorstCase": "proof.worstcase",
     "accept": "delivery.acceptance",
-    "allmargin": "analysis.stabilitymargins",
+    "allmargin": "analysis.delayedmargins",
     "augw": "synthesis.mixedsensitivity",
     "balreal": "analysis.hankel",
     "bode": "delivery.frequencyplots",

@@ -1,9 +1,11 @@
-"""Margins of a continuous loop of one signal with a delay, L(s) e^(-s T): exact, no approximant.
+"""Margins of loops with a delay: of one signal exactly, of several with an approximant.
 
-The delay turns L and leaves its modulus: unit crossings are those of L, each T w further, and roots of the closed loop
-cross the axis there alone, to the right where |L| falls with w and to the left where it rises, whatever the delay. So
-their number in the right half plane is that without delay and a sum over crossings. Phase crossings of the turned loop
-are without end; those that matter lie below the last frequency at which |L| is that of one of them.
+The approximant is exact to 1e-9 where any loop is above a hundredth, and what is less has no part in any margin below
+40 dB. Of one signal, L(s) e^(-s T), none is needed: the delay turns L and leaves its modulus, so that unit crossings
+are those of L, each T w further, and roots of the closed loop cross the axis there alone, to the right where |L| falls
+with w and to the left where it rises, whatever the delay. So their number in the right half plane is that without delay
+and a sum over crossings. Phase crossings of the turned loop are without end; those that matter lie below the last
+frequency at which |L| is that of one of them.
 
 Reference: Walton and Marshall (1987), IEE Proceedings D 134, 101 (direct method for systems with delays).
 """
@@ -18,12 +20,13 @@ import numpy as np
 from synth.analysis import stabilitymargins
 from synth.analysis.crossings import find
 from synth.analysis.norms import balance
-from synth.analysis.stabilitymargins import ANY, INSIDE, NEGLIGIBLE, Margin, one_signal
+from synth.analysis.stabilitymargins import ANY, INSIDE, NEGLIGIBLE, AllMargins, Margin, Margins, one_signal
 from synth.checks import as_number, numerical
-from synth.errors import NumericalError
-from synth.systems.connect import input_delay
+from synth.errors import ModelError, NumericalError
+from synth.systems.connect import input_delay, series
+from synth.systems.delays import HIGHEST, pade, pade_error
 from synth.systems.modes import doubts
-from synth.systems.statespace import StateSpace
+from synth.systems.statespace import StateSpace, as_systems, check_loop, repeated
 
 NEAR_REST = 1e-9  # of a range of frequencies: the least one that is looked at beside zero
 TURN = np.pi / 12  # by which the delay turns the loop from one point of the search to the next
@@ -31,6 +34,9 @@ BESIDE = np.geomspace(1e-3, 1e3, 37)  # of the real part of a root, points about
 UNDAMPED = 1e-6  # of its modulus, the least real part that is seen
 MOST = 200_000  # points
 TOUCHES = 1e-9  # of the logarithmic slope of |L|: it touches one there and does not cross
+SMALL = 1e-2  # a loop below this has margins above 40 dB, whatever its phase
+EXACT = 1e-9  # of an approximant, up to the frequency from which on all is small
+BEYOND = 1e-6  # relative: an eigenvalue that near to the axis may be on it
 AT_ONCE = 1e-9  # rad: a crossing without any delay
 
 
@@ -69,6 +75,90 @@ def margin(L: Any, sign: int, delay: Any) -> Margin:
                     "of the loop to better units"
                 )
     return Margin(float(up[0]), float(down[0]), phase, later, nearer[1], at_phase, at_delay)
+
+
+@numerical
+def allmargin(L: Any, sign: int = -1, *, delay: Any = 0.0) -> AllMargins:
+    """Every gain, phase and delay that brings a loop of one signal to the critical point.
+
+    Parameters
+    ----------
+    L, sign : as of `margin`
+    delay : s, the margins are of L(s) e^(-s delay), exactly; in discrete time whole samples. In continuous time there
+        are gains without end then: those that are listed hold all that may be the nearest to one
+
+    Raises
+    ------
+    ModelError : as `margin`.
+    """
+    G = one_signal(L, sign)
+    T = as_number("delay", delay, "a time in s that is not negative", least=0)
+    if G.discrete or T == 0:
+        return stabilitymargins.allmargin(input_delay(G, T) if T else G)
+    G = balance(G)
+    unit = [(float(np.angle(-value * np.exp(-1j * w * T))), w) for w, value in find(G).unit if w < np.inf]
+    lags = [(lag % (2 * np.pi) / w, w) for lag, w in unit if w > 0]
+    gains = sorted(set(_gains(G, T, max((w for _, w in unit), default=0.0))), key=lambda g: g[1])
+    columns = (np.array(pairs).reshape(-1, 2).T for pairs in (gains, unit, lags))
+    return AllMargins(unstable_roots(G, T) == 0, *(column for pair in columns for column in pair))
+
+
+@numerical
+def margins(P: Any, K: Any, sign: int, delay: Any) -> Margins:
+    """`stabilitymargins.margins` of a loop whose commands all come `delay` s later; whole samples in discrete time.
+
+    Raises
+    ------
+    ModelError : as there; the delay is negative, or no whole number of samples, or a loop does not roll off.
+    NumericalError : an approximant of the order 100 is none.
+    """
+    P, K = as_systems(P=P, K=K)
+    check_loop("P", P, "K", K)
+    T = as_number("delay", delay, "a time in s that is not negative", least=0)
+    if T == 0 or P.discrete:
+        return stabilitymargins.margins(input_delay(P, T) if T else P, K, sign)
+    line = approximant(T, SMALL, series(P, K), series(K, P))
+    found = stabilitymargins.margins(series(repeated(line, P.nu), P), K, sign)
+    if (P.nu, P.ny) != (1, 1):
+        return found
+    exact = margin(series(P, K), sign, T)
+    return replace(found, input=(exact,), output=(exact,))
+
+
+def approximant(T: float, level: float, *systems: StateSpace) -> StateSpace:
+    """Pade's approximant of a delay that is off it by 1e-9 at most where any of continuous systems is above `level`.
+
+    Raises
+    ------
+    ModelError : a system has that much of a direct term, which the delay turns without end.
+    NumericalError : the order would be above 100.
+    """
+    corner = max(_last_above(balance(G), level) for G in systems)
+    for n in range(1, HIGHEST + 1):
+        if pade_error(T, n, corner) <= EXACT:
+            return pade(T, n)
+    raise NumericalError(
+        f"delay is {T:g} s, and up to {corner:.4g} rad/s, where the gain is still {level:.2g}, no approximant of order "
+        f"{HIGHEST} is a delay; sample the system with its delay, which is exact: c2d(G, dt, delay=T)"
+    )
+
+
+def _last_above(G: StateSpace, level: float) -> float:
+    """The last frequency, rad/s, at which the gain of a continuous system is `level`; 0 where it is nowhere."""
+    if np.linalg.norm(G.D, 2) >= level:
+        raise ModelError(
+            f"the gain at ever higher frequencies is {np.linalg.norm(G.D, 2):.3g}, where a delay turns without end; "
+            "let the system roll off, or sample it with its delay: c2d(G, dt, delay=T)"
+        )
+    if not G.n:
+        return 0.0
+    C, D = G.C / level, G.D / level
+    B = G.B
+    R = np.linalg.inv(np.eye(G.nu) - D.T @ D)
+    A = G.A + B @ R @ D.T @ C
+    H = np.block([[A, B @ R @ B.T], [-C.T @ (np.eye(G.ny) + D @ R @ D.T) @ C, -A.T]])
+    roots = np.linalg.eigvals(H)
+    return float(np.abs(roots[np.abs(roots.real) <= BEYOND * np.abs(roots)].imag).max(initial=0.0)) * (1 + BEYOND)
 
 
 def unstable_roots(G: StateSpace, T: float) -> int:

@@ -160,16 +160,7 @@ def margin(L: Any, sign: int = -1) -> Margin:
 
 @numerical
 def allmargin(L: Any, sign: int = -1) -> AllMargins:
-    """Every gain, phase and delay that brings a loop of one signal to the critical point.
-
-    Parameters
-    ----------
-    L, sign : as of `margin`
-
-    Raises
-    ------
-    ModelError : as `margin`.
-    """
+    """`delayedmargins.allmargin` without a delay."""
     G = one_signal(L, sign)
     found = find(G)
     columns = (np.array(pairs).reshape(-1, 2).T for pairs in (_gains(found), _phases(found), _lags(found)))

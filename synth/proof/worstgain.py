@@ -17,6 +17,8 @@ from synth.systems.uncertain import UncertainSystem, series
 from synth.systems.unmodelled import Dynamics
 from synth.threads import one_thread
 
+ROUNDED = 1e-14  # relative, of what is computed from a bound
+
 HALVINGS = 60  # of a level
 
 
@@ -144,3 +146,9 @@ def _scaling(
     found = optimize.minimize_scalar(lambda x: np.log(least(middle * np.exp(x))), bounds=(-7, 7), method="bounded")
     c = float(middle * np.exp(found.x))
     return c, least(c)
+
+
+def inverted(found: WorstCase, quantity: str) -> WorstCase:
+    """The margin that is the inverse of a worst gain."""
+    lower, upper = ((1 / x if x else np.inf) if np.isfinite(x) else 0.0 for x in (found.upper, found.lower))
+    return replace(found, quantity=quantity, lower=lower * (1 - ROUNDED), upper=upper)

@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import synth
-from synth import ModelError, StateSpace, margin, pade
+from synth import ModelError, NumericalError, StateSpace, margin, pade
 from synth.analysis.delayedmargins import unstable_roots
 
 ORDER = 26  # of approximants, exact where w T is below some 20
@@ -121,3 +121,88 @@ def test_what_is_refused():
         margin(synth.UncertainSystem([[synth.ureal("J", 1.0, percentage=20)]], -1.0, 1.0, 1.0), delay=0.1)
     assert margin(synth.system([0.99e6], [1.0, 1e6]), delay=1e3).gain_up == pytest.approx(1 / 0.99, rel=1e-6)
     assert margin(synth.system([2.0, 1.0], [1.0, 3.0]), delay=0.1).delay == 0  # |D| is two: no delay is borne
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000), KINDS)
+def test_all_margins_bring_the_loop_to_the_critical_point(seed, kind):
+    """Each of them, and the nearest are those of `margin`."""
+    G, T = loop(seed, kind)
+    found = synth.allmargin(G, delay=T)
+
+    def turned(w: np.ndarray, T: float) -> np.ndarray:
+        return np.array([G.matrices.at(1j * x)[0, 0] * np.exp(-1j * x * T) for x in w])
+
+    for k, w in zip(found.gain, found.gain_frequency, strict=True):
+        assert k * turned([w], T)[0] == pytest.approx(-1, abs=1e-6)
+    at = turned(found.phase_frequency, T) * np.exp(-1j * found.phase)
+    np.testing.assert_allclose(at, -np.ones(len(at)), atol=1e-6)
+    for late, w in zip(found.delay, found.delay_frequency, strict=True):
+        assert turned([w], T + late)[0] == pytest.approx(-1, abs=1e-6)
+    assert found.stable == (unstable_roots(G, T) == 0)
+    if found.stable:
+        nearest = margin(G, delay=T)
+        assert nearest.delay == min(found.delay, default=np.inf)
+        assert nearest.phase == min(np.abs(found.phase), default=np.pi)
+        if nearest.gain_up < np.inf and np.isfinite(nearest.gain_frequency) and not G.D.any():
+            assert nearest.gain_up == min(found.gain[found.gain > 1])
+
+
+def coupled(seed: int) -> tuple[StateSpace, StateSpace, float]:
+    """Two axes that act on one another, under PD with a lag, and a delay that takes a part of the margins."""
+    rng = np.random.default_rng(seed)
+    I, Z = np.eye(2), np.zeros((2, 2))
+    M = I + 0.4 * rng.uniform(-1, 1, (2, 2))
+    P = StateSpace(np.block([[Z, I], [Z, Z]]), np.vstack([Z, M]), np.hstack([I, Z]), Z)
+    lag, gain = 8.0, 0.25
+    K = StateSpace(-lag * I, I, (gain - 1.2 * lag) * lag * I, 1.2 * lag * I)
+    return P, K, float(rng.uniform(0.02, 0.15))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_margins_of_coupled_loops_are_where_the_loop_with_its_delay_fails(seed):
+    """det(I + L e^(-s T)) with the gain, phase or delay of one channel, evaluated without an approximant."""
+    P, K, T = coupled(seed)
+    found = synth.margins(P, K, delay=T)
+    assert 0 < found.disk < synth.margins(P, K).disk
+
+    def determinant(w: float, factor: complex, i: int, ends: str) -> complex:
+        p, k = (G.matrices.at(1j * w) for G in (P, K))
+        L = (k @ p if ends == "input" else p @ k) * np.exp(-1j * w * T)
+        L[:, i] *= factor
+        return np.linalg.det(np.eye(2) + L)
+
+    for ends in ("input", "output"):
+        for i, m in enumerate(getattr(found, ends)):
+            gain = m.gain_up if abs(np.log(m.gain_up)) < abs(np.log(m.gain_down or 1e-300)) else m.gain_down
+            assert abs(determinant(m.gain_frequency, gain, i, ends)) < 1e-6
+            turned = [determinant(m.phase_frequency, np.exp(s * 1j * m.phase), i, ends) for s in (1, -1)]
+            assert min(map(abs, turned)) < 1e-6
+            w = m.delay_frequency
+            assert abs(determinant(w, np.exp(-1j * w * m.delay), i, ends)) < 1e-6
+    for m, order in ((found.disk_input, 1), (found.disk_output, -1)):
+        w = m.frequency
+        p, k = (G.matrices.at(1j * w) for G in (P, K))
+        L = (k @ p if order == 1 else p @ k) * np.exp(-1j * w * T)
+        assert abs(np.linalg.det(np.eye(2) + L @ np.diag(m.factors))) < 1e-6
+
+
+def test_margins_of_one_loop_are_exact_and_the_disk_is_that_of_the_frequency_response():
+    P, K, T = synth.system([1.0], [1.0, 0.4, 0.0]), synth.system([2.0, 1.0], [0.1, 1.0]), 0.3
+    found, w = synth.margins(P, K, delay=T), np.geomspace(1e-3, 1e3, 200_001)
+    assert found.input == found.output == (margin(synth.series(P, K), delay=T),)
+    L = (P.frequency_response(w) * K.frequency_response(w))[:, 0, 0] * np.exp(-1j * w * T)
+    assert found.disk == pytest.approx(1 / np.abs(1 / (1 + L) - 0.5).max(), rel=1e-6)
+    H = synth.c2d(P, 0.1)
+    late = synth.margins(H, 0.3, delay=0.2)
+    assert late.delay == pytest.approx(synth.margins(H, 0.3).delay - 0.2, rel=1e-9)
+
+
+def test_delays_that_no_approximant_is_near_to_are_refused_with_what_to_do():
+    P, K, _ = coupled(0)
+    with pytest.raises(NumericalError, match="sample the system with its delay, which is exact"):
+        synth.margins(P, K, delay=1e3)
+    with pytest.raises(ModelError, match="ever higher frequencies"):
+        synth.margins(StateSpace([[-1.0]], [[1.0]], [[1.0]], [[1.0]]), 0.5, delay=0.1)
+    with pytest.raises(ModelError, match=r"delay is 0\.1 s and P is uncertain"):
+        synth.margins(synth.ureal("k", 1.0, percentage=10) * synth.system([1.0], [1.0, 1.0]), 0.5, delay=0.1)

@@ -205,3 +205,52 @@ def test_the_models_of_a_box():
     found = nugap(G)
     assert 0 < found.radius < 0.3
     assert found.radius >= nugap([found.nominal, *(H for _, H in G.gridded(2))], found.nominal).radius - 1e-7
+
+
+def chordal(G1: StateSpace, G2: StateSpace, T: float, w: np.ndarray) -> np.ndarray:
+    """The distance of the responses of G1 and G2 e^(-s T) at frequencies."""
+
+    def root(M: np.ndarray) -> np.ndarray:
+        e, V = np.linalg.eigh(M)
+        return (V / np.sqrt(1 + e)) @ V.conj().T
+
+    found = []
+    for p, q, turn in zip(G1.frequency_response(w), G2.frequency_response(w), np.exp(-1j * w * T), strict=True):
+        found.append(np.linalg.norm(root(q @ q.conj().T) @ (p - q * turn) @ root(p.conj().T @ p), 2))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("T", [1e-6, 1e-3, 0.1, 0.5, -0.2])
+@pytest.mark.parametrize("seed", range(4))
+def test_plants_of_which_one_acts_later(seed, T):
+    """Their nu-gap is the largest distance of the responses, the gap no less."""
+    rng = np.random.default_rng(seed)
+    m, p, n = 1 + seed % 2, 1 + seed // 2 % 2, 3
+    A = rng.normal(size=(n, n)) - 1.5 * np.eye(n)
+    G1 = StateSpace(A, rng.normal(size=(n, m)), rng.normal(size=(p, n)), np.zeros((p, m)))
+    G2 = StateSpace(A * (1 + 0.2 * (seed > 1)), G1.B, G1.C, G1.D)
+    found = gapmetric(G1, G2, delay=T)
+    w = np.concatenate([[0.0], np.geomspace(1e-3, 1e8, 40_001)])
+    assert found.nugap == pytest.approx(chordal(G1, G2, T, w).max(), rel=1e-5, abs=2e-9)
+    assert found.gap >= found.nugap * (1 - 1e-6)
+    assert gapmetric(G2, G1, delay=-T).nugap == pytest.approx(found.nugap, rel=1e-6)
+
+
+def test_delays_of_plants_that_are_sampled_and_of_sets():
+    G, h = StateSpace([[-1.0, 1.0], [0.0, -2.0]], [[0.0], [1.0]], [[1.0, 0.0]], 0), 0.1
+    H = c2d(G, h)
+    assert gapmetric(H, H, delay=0.2).nugap == pytest.approx(gapmetric(H, c2d(G, h, delay=0.2)).nugap, rel=1e-9)
+    fine = 1e-3
+    assert gapmetric(c2d(G, fine), c2d(G, fine, delay=0.25)).nugap == pytest.approx(
+        gapmetric(G, G, delay=0.25).nugap, rel=1e-3
+    )
+    found = nugap([G, G, G], delays=[0.0, 0.1, 0.3])
+    assert found.index == 1
+    assert found.radius == pytest.approx(gapmetric(G, G, delay=0.2).nugap, rel=1e-9)
+    assert nugap([G, G], G, delays=[0.3, 0.1]).radius == pytest.approx(gapmetric(G, G, delay=0.3).nugap, rel=1e-9)
+    with pytest.raises(ModelError, match="for each of the 2 models"):
+        nugap([G, G], delays=[0.1])
+    with pytest.raises(ModelError, match="ever higher frequencies"):
+        gapmetric(G, StateSpace(G.A, G.B, G.C, [[1.0]]), delay=0.1)
+    with pytest.raises(ModelError, match="pass whole samples"):
+        gapmetric(H, H, delay=0.25)
