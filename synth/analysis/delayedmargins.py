@@ -117,7 +117,7 @@ def margins(P: Any, K: Any, sign: int, delay: Any) -> Margins:
     T = as_number("delay", delay, "a time in s that is not negative", least=0)
     if T == 0 or P.discrete:
         return stabilitymargins.margins(input_delay(P, T) if T else P, K, sign)
-    line = approximant(T, SMALL, series(P, K), series(K, P))
+    line = approximant(T, SMALL, "the loop of P and K", series(P, K), series(K, P))
     found = stabilitymargins.margins(series(repeated(line, P.nu), P), K, sign)
     if (P.nu, P.ny) != (1, 1):
         return found
@@ -125,7 +125,7 @@ def margins(P: Any, K: Any, sign: int, delay: Any) -> Margins:
     return replace(found, input=(exact,), output=(exact,))
 
 
-def approximant(T: float, level: float, *systems: StateSpace) -> StateSpace:
+def approximant(T: float, level: float, name: str, *systems: StateSpace) -> StateSpace:
     """Pade's approximant of a delay that is off it by 1e-9 at most where any of continuous systems is above `level`.
 
     Raises
@@ -133,22 +133,23 @@ def approximant(T: float, level: float, *systems: StateSpace) -> StateSpace:
     ModelError : a system has that much of a direct term, which the delay turns without end.
     NumericalError : the order would be above 100.
     """
-    corner = max(_last_above(balance(G), level) for G in systems)
+    corner = max(_last_above(name, balance(G), level) for G in systems)
     for n in range(1, HIGHEST + 1):
         if pade_error(T, n, corner) <= EXACT:
             return pade(T, n)
     raise NumericalError(
-        f"delay is {T:g} s, and up to {corner:.4g} rad/s, where the gain is still {level:.2g}, no approximant of order "
-        f"{HIGHEST} is a delay; sample the system with its delay, which is exact: c2d(G, dt, delay=T)"
+        f"delay is {T:g} s, and up to {corner:.4g} rad/s, where the gain of {name} is still {level:.2g}, no "
+        f"approximant of order {HIGHEST} is a delay; sample the system with its delay, which is exact: "
+        "c2d(G, dt, delay=T)"
     )
 
 
-def _last_above(G: StateSpace, level: float) -> float:
+def _last_above(name: str, G: StateSpace, level: float) -> float:
     """The last frequency, rad/s, at which the gain of a continuous system is `level`; 0 where it is nowhere."""
     if np.linalg.norm(G.D, 2) >= level:
         raise ModelError(
-            f"the gain at ever higher frequencies is {np.linalg.norm(G.D, 2):.3g}, where a delay turns without end; "
-            "let the system roll off, or sample it with its delay: c2d(G, dt, delay=T)"
+            f"{name}: the gain at ever higher frequencies is {np.linalg.norm(G.D, 2):.3g}, where a delay turns without "
+            "end; let the system roll off, or sample it with its delay: c2d(G, dt, delay=T)"
         )
     if not G.n:
         return 0.0

@@ -57,8 +57,8 @@ def gapmetric(G1: Any, G2: Any, *, delay: float = 0.0) -> Gap:
     G1, G2 : (p x m) plants, in any form that `system` takes
     delay : s, by which the inputs of G2 act later than those of G1 (negative: earlier); a delay that both have changes
         nothing. In discrete time whole samples. In continuous time an approximant, off by 1e-9 at most where a plant
-        has the gain that it needs for the nu-gap: that stays exact to 2e-9, the gap is within 0.02 (0.2 for delays that are
-        long beside the time a plant takes), or 0.8 nu-gaps if that is less
+        has the gain that it needs for the nu-gap: that stays exact to 2e-9, the gap is within 0.02 (0.2 for delays that
+        are long beside the time a plant takes), or 0.8 nu-gaps if that is less
 
     Returns
     -------
@@ -104,11 +104,11 @@ def _late(G1: StateSpace, G2: StateSpace, delay: float) -> Gap:
     level = FIRST
     for _ in range(LEVELS):
         try:
-            line = approximant(abs(delay), level, G1, G2)
+            line = approximant(abs(delay), level, "G1, G2", G1, G2)
         except NumericalError:
             if level != FIRST:
                 raise
-            line = approximant(abs(delay), level := LONG, G1, G2)
+            line = approximant(abs(delay), level := LONG, "G1, G2", G1, G2)
         found = gapmetric(first, series(repeated(line, second.nu), second))
         if found.nugap >= 2 * level:
             return found

@@ -205,4 +205,4 @@ def test_delays_that_no_approximant_is_near_to_are_refused_with_what_to_do():
     with pytest.raises(ModelError, match="ever higher frequencies"):
         synth.margins(StateSpace([[-1.0]], [[1.0]], [[1.0]], [[1.0]]), 0.5, delay=0.1)
     with pytest.raises(ModelError, match=r"delay is 0\.1 s and P is uncertain"):
-        synth.margins(synth.ureal("k", 1.0, percentage=10) * synth.system([1.0], [1.0, 1.0]), 0.5, delay=0.1)
+        synth.margins(synth.UncertainSystem(1, -synth.ureal("k", 1.0, percentage=10), 1, 1, 0), 0.5, delay=0.1)
