@@ -85,6 +85,7 @@ def export(
     folder = as_path("folder", folder)
     for flag, given in (("force", force), ("allow_unstable", allow_unstable), ("self_test", self_test)):
         as_flag(flag, given)
+    check_leaves(design, format)
     options: dict[str, Any]
     if any(kind.__module__.startswith("synth.predictive") for kind in type(design).__mro__):
         from synth.delivery import predictive
@@ -93,7 +94,6 @@ def export(
                    "certificate": certificate}  # fmt: skip
         files = predictive.files(design, format, name, self_test=self_test, dtype=dtype, **options)
         return write_all(folder, files, force=force)
-    check_leaves(design, format)
     if is_sdre(design):
         _check_unused(dtype=dtype != "double", allow_unstable=allow_unstable, antiwindup=antiwindup is not None,
                       inputs=inputs is not None, acceptance=acceptance is not None,

@@ -59,15 +59,12 @@ TABLE = {
         "it reproduces published results and is no robust controller; it is for comparisons only",
         "export SdreHinfStatic, or Sdre, as C",
     ),
-    "synth.predictive.horizon.Mpc": Row(
-        (),
-        f"{MATRICES}: it solves a quadratic program in every sample",
-        "pass it to synth.delivery.solver.export_mpc for C, or to synth.delivery.qp.save_mpc for .json or .mat",
-    ),
+    "synth.predictive.horizon.Mpc": Row(ALL, "", ""),
     "synth.predictive.fuel.FuelMpc": Row(
         (),
-        f"{MATRICES}: it solves a linear program in every sample, for which there is no embedded solver here",
-        "solve it on the ground with minimum_fuel and send the commands; or fly mpc, whose program leaves as C",
+        f"{MATRICES}: it solves a linear program by HiGHS, anew from the sample number and its known forecast, and "
+        "there is no C of that",
+        "step it in Python and store its commands as a time table, or pose the task as mpc(...), which leaves",
     ),
     "plants.missions.geo.Coast": Row((), f"{MATRICES}", "export the gain 0, StateSpace.gain(zeros, dt)"),
     "plants.guidance.laws.AttitudeControl": Row(

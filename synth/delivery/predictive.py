@@ -14,7 +14,6 @@ from synth.delivery import qp
 from synth.delivery.cmpc import about, held, mpc_files, program, sizes
 from synth.delivery.origin import Origin, Signal, checked
 from synth.errors import ExportError
-from synth.predictive.fuel import FuelMpc
 from synth.predictive.horizon import Mpc
 from synth.predictive.prestabilised import STIFF
 
@@ -34,15 +33,9 @@ def files(controller: Any, format: str, name: str, *, self_test: bool, **options
 
     Raises
     ------
-    ExportError : the controller cannot leave, an option is for linear controllers, or there is no C compiler for an
+    ExportError : it is no controller, an option is for linear controllers, or there is no C compiler for an
         FMU.
     """
-    if isinstance(controller, FuelMpc):
-        raise ExportError(
-            "a FuelMpc cannot leave: it solves a linear program by HiGHS, anew from the sample number and its known "
-            "forecast, and there is no C of that; step it in Python, store its commands as a time table, or pose the "
-            "task as mpc(...), which leaves"
-        )
     if not isinstance(controller, Mpc):
         raise ExportError(f"a {type(controller).__name__} is no controller; pass what mpc returned")
     for option, (default, instead) in OF_LINEAR.items():

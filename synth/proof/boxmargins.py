@@ -206,8 +206,9 @@ def margin(L: Any, sign: int = -1, *, delay: float = 0.0) -> Margin:
 
 def _check_undelayed(name: str, delay: Any) -> None:
     if as_number("delay", delay, "a time in s that is not negative", least=0):
-        told = f"pass series({name}, pade(delay, n)) for a proof about that"
-        raise ModelError(f"delay is {delay:g} s and {name} is uncertain; {told}")
+        raise ModelError(
+            f"delay is {delay:g} s and {name} is uncertain; pass series({name}, pade(delay, n)) for a proof"
+        )
 
 
 def worst_gain_margin(G: UncertainSystem, quantity: str) -> WorstCase:

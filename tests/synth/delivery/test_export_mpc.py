@@ -314,7 +314,7 @@ def test_what_cannot_leave_says_why_and_what_to_do(tmp_path):
     controller = mpc(G, Q=1, R=1, Np=5, Nc=3, umin=-1, umax=1)
     fuel = synth.fuel_mpc(G, box=1.0, umax=1.0, horizon=3)
     with pytest.raises(
-        ExportError, match=r"a FuelMpc cannot leave: it solves a linear program .* pose the task as mpc"
+        ExportError, match=r"FuelMpc does not leave as c: .* it solves a linear program .* pose the task as mpc"
     ):
         synth.export(fuel, "c", tmp_path)
     for option, message in (

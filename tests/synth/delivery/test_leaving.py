@@ -43,7 +43,7 @@ EXAMPLES = {
     synth.SdreHinf: lambda: sdre(synth.SdreHinf),
     synth.SdreHinfStatic: lambda: sdre(synth.SdreHinfStatic),
     synth.SdreHinfPaperLiteral: lambda: sdre(synth.SdreHinfPaperLiteral),
-    synth.Mpc: lambda: bare(synth.Mpc),
+    synth.Mpc: lambda: synth.mpc(K, Q=1.0, R=1.0, Np=4, Nc=2, umin=-1.0, umax=1.0),
     synth.FuelMpc: lambda: bare(synth.FuelMpc),
     Coast: lambda: Coast(dt=DT),
     plants.AttitudeControl: lambda: plants.AttitudeControl(controller=LINEAR),
