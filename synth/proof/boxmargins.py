@@ -207,7 +207,7 @@ def margin(L: Any, sign: int = -1, *, delay: float = 0.0) -> Margin:
 def _check_undelayed(name: str, delay: Any) -> None:
     if as_number("delay", delay, "a time in s that is not negative", least=0):
         raise ModelError(
-            f"delay is {delay:g} s and {name} is uncertain; pass series({name}, pade(delay, n)) for a proof"
+            f"delay is {delay:g} s and {name} is uncertain; pass series({name}, pade(delay, n)) for bounds"
         )
 
 

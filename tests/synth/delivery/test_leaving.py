@@ -26,6 +26,7 @@ DT = 0.5
 J = np.diag([2.0, 3.0, 4.0])
 K = synth.StateSpace([[0.5]], [[1.0]], [[0.3]], [[0.1]], DT)
 LINEAR = synth.LinearController.of(K)
+HELD = synth.StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], DT)
 
 
 def sdre(kind: Any) -> Any:
@@ -43,7 +44,7 @@ EXAMPLES = {
     synth.SdreHinf: lambda: sdre(synth.SdreHinf),
     synth.SdreHinfStatic: lambda: sdre(synth.SdreHinfStatic),
     synth.SdreHinfPaperLiteral: lambda: sdre(synth.SdreHinfPaperLiteral),
-    synth.Mpc: lambda: synth.mpc(K, Q=1.0, R=1.0, Np=4, Nc=2, umin=-1.0, umax=1.0),
+    synth.Mpc: lambda: synth.mpc(HELD, Q=1.0, R=1.0, Np=4, Nc=2, umin=-1.0, umax=1.0),
     synth.FuelMpc: lambda: bare(synth.FuelMpc),
     Coast: lambda: Coast(dt=DT),
     plants.AttitudeControl: lambda: plants.AttitudeControl(controller=LINEAR),
