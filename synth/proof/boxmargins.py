@@ -42,9 +42,8 @@ from synth.systems.parameters import Parameter, ureal
 from synth.systems.statespace import StateSpace, system
 from synth.systems.uncertain import UncertainSystem, as_uncertain, series
 
-ROUNDS = 3  # of scalings
 NEAR = 1e-3  # relative distance of the bounds from which no other scaling is looked for
-STARTS = 3  # of a descent
+ROUNDS, STARTS = 3, 3  # of scalings, of a descent
 DELAYS, FIRST = 8, 0.8  # proofs of a delay, and part of the one that was found to begin with
 INSIDE, STEPS = 0.995, (0.25, 4.0)  # gain that is aimed at, and by how much a delay changes from proof to proof
 COVER, CORNER = 1.1, 50**0.5  # of the weight W = 1.1 s T/2 / (1 + s T/50^(1/2)) that covers delays around their middle
@@ -177,8 +176,7 @@ def margin(L: Any, sign: int = -1, *, delay: float = 0.0) -> Margin:
 
     Raises
     ------
-    ModelError : L has several inputs or outputs, `sign` is neither -1 nor 1, the delay is negative or of an uncertain
-        loop.
+    ModelError : L has several signals, `sign` is neither -1 nor 1, the delay is negative or of an uncertain loop.
     NumericalError : the poles of the loop do not confirm what its crossings say.
 
     References: Skogestad and Postlethwaite (2005), section 2.4.3; Walton and Marshall (1987), IEE Proc. D 134, 101
