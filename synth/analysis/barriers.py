@@ -105,21 +105,19 @@ def peak(G: StateSpace) -> Sloped:
 
 
 def within(G: StateSpace, centre: float, radius: float) -> tuple[float, np.ndarray, float]:
-    """Of a disc for the poles: log trace of the Gramian of (A - centre) / radius with all states driven.
+    """Of a disc for the poles: -log det(I - A x A) / 2 of A = (A - centre) / radius, in any coordinates the same.
 
     The third is the derivative by the logarithm of the radius.
     """
     A = (G.A - centre * np.eye(G.n)) / radius
+    poles = np.linalg.eigvals(A)
     found = np.zeros((G.n + G.ny, G.n + G.nu))
-    if not G.n:
-        return 0.0, found, 0.0
-    if not np.abs(np.linalg.eigvals(A)).max() < 1:
+    if not np.abs(poles).max(initial=0.0) < 1:
         return np.inf, found, 0.0
-    W = gramian(A, np.eye(G.n), 1.0)
-    size = np.trace(W)
-    slope = 2 * gramian(A.T, np.eye(G.n) / size, 1.0) @ A @ W
+    value = -0.5 * np.log(1 - np.outer(poles, poles)).real.sum()
+    slope = (poles[:, None, None] * np.linalg.inv(np.eye(G.n) - poles[:, None, None] * A)).sum(axis=0).real.T
     found[: G.n, : G.n] = slope / radius
-    return float(np.log(size)), found, -float(np.sum(slope * A))
+    return float(value), found, -float(np.sum(slope * A))
 
 
 def gramian(A: np.ndarray, Q: np.ndarray, dt: float) -> np.ndarray:

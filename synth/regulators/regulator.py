@@ -263,10 +263,10 @@ def sampled_cost(
     n, m = B.shape
     N = xp.zeros((n, m)) if N is None else N
     longest = xp.maximum(_largest(A, xp) * dt, 1.0)
-    b = 1 / _binary(_largest(B, xp) * dt / longest, xp)  # unit of u
+    b = 1 / binary(_largest(B, xp) * dt / longest, xp)  # unit of u
     M = xp.block([[A, b * B], [xp.zeros((m, n + m))]])
     W = xp.block([[Q, b * N], [b * N.T, b * b * R]])
-    w = _binary(_largest(W, xp) * dt / longest, xp)  # unit of the cost
+    w = binary(_largest(W, xp) * dt / longest, xp)  # unit of the cost
     E = expm(xp.block([[-M.T, W / w], [xp.zeros((n + m, n + m)), M]]) * dt)
     end = E[n + m :, n + m :]
     J = w * (end.T @ E[: n + m, n + m :])
@@ -278,7 +278,7 @@ def _largest(M: Any, xp: Any) -> Any:
     return xp.max(xp.abs(M), initial=0.0)
 
 
-def _binary(x: Any, xp: Any) -> Any:
+def binary(x: Any, xp: Any) -> Any:
     """The power of two next to x, 1 where there is none: units changed by it change no bits."""
     x = xp.where((x > 0) & (x < np.inf), x, 1.0)
     return xp.ldexp(1.0, xp.round(xp.log2(x)).astype(int))

@@ -2,11 +2,10 @@
 
     dx = A(y) x + B(y) u        a model of `synth.regulators.sdc`, or one of your own
 
-The command u regulates x to zero; r is not used, because y is the error already.
-
-A sample whose Riccati equation has no solution is flown with the gain of the last one that had, and counted in the
-state's `failures`; before the first solution that is the gain at rest at the target. Nothing is raised, because all
-this runs inside compiled loops. Make controllers with `create`, which checks. Needs JAX with float64.
+The command u regulates x to zero; r is not used, because y is the error already. A sample whose Riccati equation has
+no solution is flown with the gain of the last one that had, and counted in the state's `failures`; before the first
+solution that is the gain at rest at the target. Nothing is raised, because all this runs inside compiled loops. Make
+controllers with `create`, which checks. Needs JAX with float64.
 
 References: Cimen (2010), Annual Reviews in Control 34, 32; Romero and Souza (2022), CILAMCE, equations (3), (4) and
 section 2.1; Glover and McFarlane (1989), IEEE TAC 34, 821.
@@ -27,7 +26,7 @@ from synth.equations.are import care
 from synth.equations.riccati import closed_loop_rate, continued, discrete_stabilising, stabilising, stabilising_pair
 from synth.errors import AssumptionError, ModelError, NumericalError
 from synth.regulators.quaternion import as_period
-from synth.regulators.regulator import lqr, lqrd, sampled_cost
+from synth.regulators.regulator import binary, lqr, lqrd, sampled_cost
 from synth.regulators.sdc import Factorisation
 
 TINY = 1e-300  # keeps 0 / 0 from being one
@@ -284,12 +283,14 @@ class SdreHinfPaperLiteral:
 @jax.jit
 def sampled_gain(A: Array, B: Array, Q: Any, R: Any, dt: Any) -> tuple[Array, Array]:
     """The gain of `lqrd` (m, n) and whether it exists; traceable."""
+    t = 1 / binary(jnp.sqrt(jnp.diagonal(Q)), jnp)  # units of x in which all states are weighed alike
+    A, B, Q = A * t / t[:, None], B / t[:, None], t[:, None] * Q * t
     F, G, Q, R, N = sampled_cost(A, B, Q, R, dt, xp=jnp, expm=jax.scipy.linalg.expm)
     S = jnp.linalg.solve(R, jnp.concatenate([N.T, G.T], 1))  # takes the cross weight out
     RN, RG = S[:, : len(A)], S[:, len(A) :]
     X, ok = discrete_stabilising(F - G @ RN, G @ RG, Q - N @ RN)
     K = jnp.linalg.solve(R + G.T @ X @ G, G.T @ X @ F + N.T)
-    return K, ok & jnp.isfinite(K).all()
+    return K / t, ok & jnp.isfinite(K).all()
 
 
 @jax.jit

@@ -138,6 +138,11 @@ class Path:
     def follow(self, function: Inside, until: float = -np.inf) -> None:
         """To the minimum, or where the level is below `until`."""
         descent = Descent(function, self.x, H=self.H, trials=TRIALS)
-        while descent.calls < CALLS and descent.x[-1] >= until and descent.run(LOOK, GAIN * function.weight):
-            pass
+        while descent.calls < CALLS and descent.x[-1] >= until:
+            before = descent.value
+            if descent.run(LOOK, GAIN * function.weight):
+                continue
+            if descent.H is None or before - descent.value > GAIN * function.weight:
+                break
+            descent.H = None  # what was learnt leads nowhere any more
         self.x, self.H = descent.x, descent.H

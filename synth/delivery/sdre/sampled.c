@@ -120,21 +120,34 @@ static int hewer(const equation *e, const double *X, double *d, double *left)
     return stable;
 }
 
-static int gain_at(memory *state, const double *A, const double *B, double *K)
+static int gain_at(memory *state, const double *A_given, const double *B_given, double *K)
 {
     double E[BIG * BIG] = { 0 }, end[ALL * ALL], T[ALL * ALL], J[ALL * ALL];
     double F[NN], G[N * M], GT[M * N], cross_weight[N * M], weight[M * M], S[M * 2 * N], RN[M * N], RG[M * N];
     double P[NN], H[NN], X[NN], A0[NN], G0[NN], Q0[NN];
+    double A[NN], B[N * M], Q[NN], unit[N]; /* units of x in which all states are weighed alike */
     (void)state;
+    for (int i = 0; i < N; ++i) {
+        unit[i] = 1 / binary(sqrt(weight_Q[i * (N + 1)]));
+    }
+    for (int i = 0; i < N; ++i) {
+        for (int j = 0; j < N; ++j) {
+            A[i * N + j] = A_given[i * N + j] * unit[j] / unit[i];
+            Q[i * N + j] = unit[i] * weight_Q[i * N + j] * unit[j];
+        }
+        for (int j = 0; j < M; ++j) {
+            B[i * M + j] = B_given[i * M + j] / unit[i];
+        }
+    }
     const double longest = largest(A, NN) * dt > 1 ? largest(A, NN) * dt : 1;
     const double b = 1 / binary(largest(B, N * M) * dt / longest); /* unit of u */
-    const double costs = largest(weight_Q, NN), commands = b * b * largest(weight_R, M * M);
+    const double costs = largest(Q, NN), commands = b * b * largest(weight_R, M * M);
     const double w = binary((costs > commands ? costs : commands) * dt / longest); /* unit of the cost */
     for (int i = 0; i < N; ++i) { /* [[-M', W], [0, M]] dt with M = [[A, B], [0, 0]] and W = [[Q, 0], [0, R]] */
         for (int j = 0; j < N; ++j) {
             E[j * BIG + i] = -A[i * N + j] * dt;
             E[(ALL + i) * BIG + ALL + j] = A[i * N + j] * dt;
-            E[i * BIG + ALL + j] = weight_Q[i * N + j] / w * dt;
+            E[i * BIG + ALL + j] = Q[i * N + j] / w * dt;
         }
         for (int j = 0; j < M; ++j) {
             E[(N + j) * BIG + i] = -(b * B[i * M + j]) * dt;
@@ -205,5 +218,8 @@ static int gain_at(memory *state, const double *A, const double *B, double *K)
         weight[i] += J[i];
     }
     solve(weight, K, M, N);
+    for (int i = 0; i < M * N; ++i) {
+        K[i] /= unit[i % N];
+    }
     return ok && finite(K, M * N);
 }
