@@ -15,9 +15,13 @@ import scipy.linalg as sla
 ALIKE = 1.0  # neighbours on the diagonal that are nearer than that, but not equal
 
 
-@np.errstate(all="ignore")
 def expm(M: np.ndarray) -> np.ndarray:
     """e^M, (n, n); not finite beyond what doubles hold, without a warning: models check what they are made of."""
+    with np.errstate(all="ignore"):
+        return _expm(M)
+
+
+def _expm(M: np.ndarray) -> np.ndarray:
     beside = np.abs(np.diff(np.diag(M)))
     if not (np.any((beside > 0) & (beside < ALIKE)) and (not np.tril(M, -1).any() or not np.triu(M, 1).any())):
         return np.asarray(sla.expm(M))
