@@ -114,8 +114,9 @@ def within(G: StateSpace, centre: float, radius: float) -> tuple[float, np.ndarr
     found = np.zeros((G.n + G.ny, G.n + G.nu))
     if not np.abs(poles).max(initial=0.0) < 1:
         return np.inf, found, 0.0
-    value = -0.5 * np.log(1 - np.outer(poles, poles)).real.sum()
-    slope = (poles[:, None, None] * np.linalg.inv(np.eye(G.n) - poles[:, None, None] * A)).sum(axis=0).real.T
+    value = -np.real(np.log(1 - np.outer(poles, poles))).sum() / 2
+    each = poles[:, None, None]
+    slope = np.real(np.sum(each * np.linalg.inv(np.eye(G.n) - each * A), axis=0)).T
     found[: G.n, : G.n] = slope / radius
     return float(value), found, -float(np.sum(slope * A))
 
@@ -124,10 +125,11 @@ def gramian(A: np.ndarray, Q: np.ndarray, dt: float) -> np.ndarray:
     """W = A W A' + Q in discrete time, A W + W A' + Q = 0 in continuous time (dt = 0), of a stable A."""
     if not dt:
         return np.asarray(sla.solve_continuous_lyapunov(A, -Q))
-    for _ in range(MAX_STEPS):
-        Q, A = Q + A @ Q @ A.T, A @ A
-        if np.linalg.norm(A) < CONVERGED:
-            break
+    with np.errstate(all="ignore"):  # not finite next to instability
+        for _ in range(MAX_STEPS):
+            Q, A = Q + A @ Q @ A.T, A @ A
+            if not np.linalg.norm(A) >= CONVERGED:
+                break
     return Q
 
 

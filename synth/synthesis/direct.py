@@ -60,6 +60,12 @@ class Inside:
         if not -LARGEST < x[-1] < LARGEST:
             return outside
         value, slope[-1] = x[-1], 1.0
+        with np.errstate(all="ignore"):
+            return self._at(x, float(value), slope)
+
+    def _at(self, x: np.ndarray, value: float, slope: np.ndarray) -> tuple[float, np.ndarray]:
+        """The same, `slope` being filled."""
+        outside = np.inf, np.zeros(len(x))
         try:
             closed = self.loop.closed(x[:-1])
             for goal in (*self.lowered, *self.bounds):
