@@ -111,7 +111,7 @@ class Search:
             elif best:
                 break
         if best and task.method == DIRECT:
-            further = self.descended([self.entered(best.controller)], best.claimed)
+            further = self.descended([self.straight.entered(best.controller)], best.claimed)
             best = further if further and further.values[0] < best.values[0] else best
         if best is None and not asked:
             raise NumericalError(f"no attempt led to a controller that verifies: {self.missed}", self.failures)
@@ -136,16 +136,16 @@ class Search:
                 known.append((hinfsyn(P, gamma=level) if isinstance(norm, Hinf) else h2syn(P)).controller)
             except FAILS as error:
                 self.failures[f"{name_of(norm, task.plant)} alone, to start from"] = str(error)
-        yield from (self.entered(K) for K in known)
+        for K in known:
+            try:
+                yield self.straight.entered(K)
+            except FAILS as error:
+                self.failures["a controller to start from, in good units"] = str(error)
         if not task.plant.dt or not known or task.proper:
             try:
                 yield h2syn(regular(self.straight.plant), strictly_proper=True).controller
             except FAILS as error:
                 self.failures["a strictly proper controller that stabilises"] = str(error)
-
-    def entered(self, K: StateSpace) -> StateSpace:
-        """A controller for the plant as one for `straight`."""
-        return self.straight.entered(K)
 
     @cached_property
     def straight(self) -> Conditioned:

@@ -106,7 +106,10 @@ def descents(
     found = 0
     for K in starts:
         affine = loop(K.n)
-        theta = met(affine, affine.vector(K), bounds, reached)
+        try:
+            theta = met(affine, affine.vector(K), bounds, reached)
+        except FAILS:  # a loop so near instability that its Gramians are no numbers
+            continue
         x = None if theta is None else Inside(affine, (lowered,), bounds, WEIGHTS[0]).entered(theta)
         if x is None:
             continue
